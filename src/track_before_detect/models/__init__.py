@@ -1,0 +1,1 @@
+"""What a target looks like and how it may move."""

@@ -1,0 +1,173 @@
+"""Every option of the detector, declared once.
+
+The Python call, ``--set`` on the command line, YAML files and the parameters of the node are all
+read from the fields of :class:`DetectorOptions`: type, default, unit, range and description.
+``None`` means automatic; where a format cannot say ``None`` (ROS parameters), 0, an empty string
+or an empty list stands for it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from track_before_detect.errors import ParameterError
+
+DETECTORS = ('convex',)
+DEFAULT_CONTINUATION = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)
+
+
+def _option(default, description, *, kind, unit='', choices=None, minimum=None, maximum=None,
+            above=None, optional=False):
+    """Declare one option; ``above`` is an exclusive lower bound, the others are inclusive."""
+    metadata = {
+        'description': description, 'kind': kind, 'unit': unit, 'choices': choices,
+        'minimum': minimum, 'maximum': maximum, 'above': above, 'optional': optional,
+    }
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+@dataclasses.dataclass(frozen=True)
+class DetectorOptions:
+    """Options of a detector, checked when made.
+
+    See :func:`describe` for the unit, range and meaning of each.
+    """
+
+    detector: str = _option(
+        'convex', 'Method that finds the trajectories.', kind='text', choices=DETECTORS)
+    psf_sigma_px: float = _option(
+        1.0, 'Standard deviation of the Gaussian point spread function.', kind='number',
+        unit='px', minimum=0.3, maximum=20.0)
+    max_speed_px_s: float | None = _option(
+        None, 'Largest speed of a target in the registered image; automatic is one pixel per '
+        'median frame interval.', kind='number', unit='px/s', minimum=0.0, optional=True)
+    max_acceleration_px_s2: float | None = _option(
+        None, 'Largest acceleration of a target; automatic lets the velocity change by the '
+        'maximum speed within 20 median frame intervals.', kind='number', unit='px/s^2',
+        minimum=0.0, optional=True)
+    motion_model: str = _option(
+        'nearly_constant_velocity', 'Which motions are searched.', kind='text',
+        choices=('nearly_constant_velocity', 'constant_velocity', 'static'))
+    false_alarm_rate: float = _option(
+        0.05, 'Probability that a batch without targets yields a trajectory.', kind='number',
+        above=0.0, maximum=0.5)
+    threshold: float | None = _option(
+        None, 'Threshold on the statistic; overrides false_alarm_rate.', kind='number',
+        above=0.0, optional=True)
+    continuation: tuple[float, ...] = _option(
+        DEFAULT_CONTINUATION, 'Values of t from 1 (convex) to 0 (combinatorial).',
+        kind='numbers', minimum=0.0, maximum=1.0)
+    batch_length: int | None = _option(
+        None, 'Frames searched together; automatic is the whole recording, and 20 in the node.',
+        kind='integer', unit='frames', minimum=1, optional=True)
+    hop: int | None = _option(
+        None, 'Frames from the start of one batch to the next; automatic is half a batch.',
+        kind='integer', unit='frames', minimum=1, optional=True)
+    registration: str = _option(
+        'none', 'How frames are aligned before the search.', kind='text',
+        choices=('none', 'translation'))
+    background: str = _option(
+        'none', 'How the background is removed.', kind='text',
+        choices=('none', 'temporal_median'))
+    noise: str = _option(
+        'none', 'How the noise level is found: none takes a standard deviation of 1, robust '
+        'estimates one number per frame, map one per pixel.', kind='text',
+        choices=('none', 'robust', 'map'))
+
+    def __post_init__(self):
+        for field in dataclasses.fields(self):
+            value = _checked(field.name, getattr(self, field.name), field.metadata)
+            object.__setattr__(self, field.name, value)
+        if self.hop is not None and self.batch_length is not None:
+            if self.hop > self.batch_length:
+                raise ParameterError(
+                    f'hop must be at most batch_length ({self.batch_length}), got {self.hop}: '
+                    'frames between batches would never be searched')
+
+    @classmethod
+    def from_mapping(cls, values: Mapping[str, Any]) -> DetectorOptions:
+        """Make options from names and values; an unknown name is refused."""
+        names = [field.name for field in dataclasses.fields(cls)]
+        for name in values:
+            if name not in names:
+                close = difflib.get_close_matches(str(name), names, n=1)
+                hint = f'; did you mean {close[0]}?' if close else f'; known: {", ".join(names)}'
+                raise ParameterError(f'unknown option {name!r}{hint}')
+        return cls(**values)
+
+    def replace(self, **changes) -> DetectorOptions:
+        """Return a copy with some options changed."""
+        return dataclasses.replace(self, **changes)
+
+
+def parse_option(name: str, text: str) -> Any:
+    """Read the value of one option from the text of ``KEY=VALUE``.
+
+    Lists are separated by commas; ``auto`` or nothing stands for automatic.
+    """
+    fields = {field.name: field for field in dataclasses.fields(DetectorOptions)}
+    if name not in fields:
+        DetectorOptions.from_mapping({name: text})
+    metadata = fields[name].metadata
+    if metadata['optional'] and text.strip() in ('', 'auto', 'none', 'null'):
+        return None
+    if metadata['kind'] == 'text':
+        return text.strip()
+    if metadata['kind'] == 'numbers':
+        return [part for part in text.strip().strip('[]()').split(',') if part.strip()]
+    return text
+
+
+def describe() -> list[dict[str, Any]]:
+    """Return name, default, kind, unit, range, choices and description of every option."""
+    return [{'name': field.name, 'default': field.default, **field.metadata}
+            for field in dataclasses.fields(DetectorOptions)]
+
+
+def _checked(name, value, metadata):
+    """Return ``value`` in the type of its option, or raise ParameterError."""
+    if value is None:
+        if metadata['optional']:
+            return None
+        raise ParameterError(f'{name} must not be empty')
+    kind = metadata['kind']
+    if kind == 'text':
+        if value not in metadata['choices']:
+            close = difflib.get_close_matches(str(value), metadata['choices'], n=1)
+            hint = f'; did you mean {close[0]}?' if close else ''
+            raise ParameterError(
+                f'{name} must be one of {", ".join(metadata["choices"])}, got {value!r}{hint}')
+        return value
+    if kind == 'numbers':
+        if isinstance(value, (str, bytes)) or np.ndim(value) != 1 or not len(value):
+            raise ParameterError(f'{name} must be a list of numbers, got {value!r}')
+        return tuple(_checked_number(name, item, float, metadata) for item in value)
+    return _checked_number(name, value, int if kind == 'integer' else float, metadata)
+
+
+def _checked_number(name, value, kind, metadata):
+    """Return ``value`` as a finite number of its kind within its range."""
+    what = 'a whole number' if kind is int else 'a number'
+    try:
+        if isinstance(value, (bool, np.bool_)):
+            raise ValueError
+        number = float(value)
+        if not math.isfinite(number) or (kind is int and number != int(number)):
+            raise ValueError
+    except (TypeError, ValueError):
+        raise ParameterError(f'{name} must be {what}, got {value!r}') from None
+    unit = f' {metadata["unit"]}' if metadata['unit'] else ''
+    minimum, maximum, above = metadata['minimum'], metadata['maximum'], metadata['above']
+    if above is not None and not number > above:
+        raise ParameterError(f'{name} must be above {above:g}{unit}, got {number:g}')
+    if minimum is not None and number < minimum:
+        raise ParameterError(f'{name} must be at least {minimum:g}{unit}, got {number:g}')
+    if maximum is not None and number > maximum:
+        raise ParameterError(f'{name} must be at most {maximum:g}{unit}, got {number:g}')
+    return kind(number)

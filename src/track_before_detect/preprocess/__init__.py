@@ -1,0 +1,1 @@
+"""From raw frames to frames of unit noise on one common plane."""

@@ -1,0 +1,1 @@
+"""Solvers of the convex sparsity prior and its continuation."""

@@ -1,0 +1,116 @@
+"""What travels between the rooms of the package: batches of frames, trajectories, results."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class FrameBatch:
+    """The frames that are searched together.
+
+    Attributes
+    ----------
+    frames : array, shape (T, H, W)
+        Pixel values, real or complex; a pixel that is not finite counts as masked.
+    stamps : array, shape (T,)
+        Time of each frame in seconds, strictly increasing.
+    frame_indices : array of int, shape (T,)
+        Number of each frame in its recording or stream, strictly increasing.
+    """
+
+    frames: NDArray
+    stamps: NDArray[np.float64]
+    frame_indices: NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """One detected target.
+
+    Rows belong to the frames named by ``frame_indices``; where the target is absent the row is
+    NaN.
+
+    Attributes
+    ----------
+    id : int
+        Identity, kept over all batches of a recording or stream.
+    positions : array, shape (T, 2)
+        Column x and row y in pixels of the original frames; pixel centres are integers.
+    amplitudes : array, shape (T,)
+        Amplitude of the unit-norm point spread function, in the units of the noise standard
+        deviation times that of the input.
+    velocity : array, shape (T, 2)
+        Pixels per second.
+    stamps : array, shape (T,)
+        Seconds.
+    frame_indices : array of int, shape (T,)
+        Number of each frame in the recording.
+    statistic : float
+        What is compared with the threshold; always above it for a reported trajectory.
+    snr : float
+        Root mean square over frames of amplitude over noise standard deviation, in one frame.
+    """
+
+    id: int
+    positions: NDArray[np.float64]
+    amplitudes: NDArray
+    velocity: NDArray[np.float64]
+    stamps: NDArray[np.float64]
+    frame_indices: NDArray[np.int64]
+    statistic: float
+    snr: float
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of a solver.
+
+    Attributes
+    ----------
+    t : float
+        Place on the continuation: 1 is the convex objective, 0 the combinatorial one.
+    objective : float
+        Value of F_t after the step.
+    n_paths : int
+        Number of paths with non-zero amplitude.
+    violation : float
+        Largest statistic of any path on the residual over the threshold, less one; at most the
+        tolerance when the step ended a stage.
+    """
+
+    t: float
+    objective: float
+    n_paths: int
+    violation: float
+
+
+@dataclass(frozen=True)
+class DetectionResult:
+    """What a detector found.
+
+    Attributes
+    ----------
+    trajectories : list of Trajectory
+        One per target, by descending statistic.
+    threshold : float
+        Value the statistic of a trajectory had to pass.
+    status : str
+        ``"converged"`` or ``"iteration_limit"``.
+    history : list of Step
+        Progress of the solver, batch after batch.
+    gap : float
+        Duality gap of the convex stage (t = 1), absolute; NaN when no such stage was run.
+    """
+
+    trajectories: list[Trajectory]
+    threshold: float
+    status: str = 'converged'
+    history: list[Step] = field(default_factory=list)
+    gap: float = float('nan')
