@@ -8,10 +8,10 @@ or an empty list stands for it.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 import dataclasses
 import difflib
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np

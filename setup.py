@@ -1,0 +1,43 @@
+"""The one place for the metadata of the package, read by pip and by colcon."""
+
+from glob import glob
+
+from setuptools import find_packages, setup
+
+PACKAGE = 'track_before_detect'
+
+EXTRAS = {
+    'readers': ['pillow', 'tifffile', 'astropy', 'rosbags'],
+    'plots': ['matplotlib'],
+    'cli': ['tqdm', 'pyyaml'],
+    'test': ['pytest', 'hypothesis'],
+}
+
+setup(
+    name=PACKAGE,
+    version='0.1.0',
+    description='Find dim moving targets in sequences of frames where no single frame shows them',
+    license='Apache-2.0',
+    maintainer='track_before_detect maintainers',
+    maintainer_email='maintainers@track-before-detect.org',
+    python_requires='>=3.10,<3.14',
+    package_dir={'': 'src'},
+    packages=find_packages('src'),
+    package_data={PACKAGE: ['py.typed']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),
+        (f'share/{PACKAGE}', ['package.xml']),
+        (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
+        (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
+    ],
+    install_requires=['numpy>=1.26', 'scipy>=1.11', 'numba>=0.58'],
+    extras_require=EXTRAS,
+    zip_safe=True,
+    entry_points={
+        'console_scripts': [
+            f'tbd = {PACKAGE}.cli:main',
+            f'detector = {PACKAGE}.ros.detector_node:main',
+            f'frame_publisher = {PACKAGE}.ros.frame_publisher_node:main',
+        ],
+    },
+)
