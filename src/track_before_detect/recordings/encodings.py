@@ -1,0 +1,157 @@
+"""From the bytes of ROS messages to frames, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from track_before_detect.errors import DataError
+
+LUMINANCE_WEIGHTS = (0.299, 0.587, 0.114)
+
+# Encoding: item type, channels, and which channels are red, green and blue (None: grey).
+_ENCODINGS: dict[str, tuple[str, int, tuple[int, int, int] | None]] = {
+    'mono8': ('u1', 1, None),
+    'mono16': ('u2', 1, None),
+    '8UC1': ('u1', 1, None),
+    '16UC1': ('u2', 1, None),
+    '32FC1': ('f4', 1, None),
+    '64FC1': ('f8', 1, None),
+    'rgb8': ('u1', 3, (0, 1, 2)),
+    'bgr8': ('u1', 3, (2, 1, 0)),
+    'rgba8': ('u1', 4, (0, 1, 2)),
+    'bgra8': ('u1', 4, (2, 1, 0)),
+}
+ENCODINGS = tuple(_ENCODINGS)
+
+
+def luminance(colour: NDArray, order: tuple[int, int, int] = (0, 1, 2)) -> NDArray[np.float32]:
+    """Return the luminance (ITU-R BT.601) of a colour image.
+
+    Parameters
+    ----------
+    colour : array, shape (H, W, C)
+        Channels last; channels not named by ``order`` (alpha) are ignored.
+    order : tuple of three int
+        Which channels are red, green and blue.
+
+    Returns
+    -------
+    array of float32, shape (H, W)
+        In the units of the channels; not rounded, because rounding would add noise.
+    """
+    grey = np.zeros(colour.shape[:2], np.float32)
+    for channel, weight in zip(order, LUMINANCE_WEIGHTS, strict=True):
+        grey += np.float32(weight) * colour[..., channel]
+    return grey
+
+
+def decode_image(data, encoding: str, height: int, width: int, step: int,
+                 is_bigendian: bool | int) -> NDArray:
+    """Return the frame in the bytes of an image message.
+
+    Parameters
+    ----------
+    data : bytes-like
+        Rows of pixels.
+    encoding : str
+        One of :data:`ENCODINGS`; colour is turned to luminance.
+    height, width : int
+        Size in pixels.
+    step : int
+        Length of a row in bytes, padding included.
+    is_bigendian : bool or int
+        Byte order of items longer than one byte.
+
+    Returns
+    -------
+    array, shape (H, W)
+        A copy in native byte order: uint8, uint16, float32 or float64 as encoded, float32 for
+        colour.
+    """
+    if encoding not in _ENCODINGS:
+        raise DataError(f'image encoding must be one of {", ".join(ENCODINGS)}, got {encoding!r}')
+    if height < 1 or width < 1:
+        raise DataError(f'an image must have at least one pixel, got {height} x {width}')
+    code, channels, order = _ENCODINGS[encoding]
+    item = np.dtype(code)
+    stored = item.newbyteorder('>' if is_bigendian else '<')
+    row_bytes = width * channels * item.itemsize
+    if step < row_bytes:
+        raise DataError(
+            f'step of a {encoding} image {width} pixels wide must be at least {row_bytes} bytes, '
+            f'got {step}')
+    buffer = memoryview(data).cast('B')
+    # The last row may come without its padding.
+    expected = step * (height - 1) + row_bytes
+    if len(buffer) < expected:
+        raise DataError(
+            f'a {encoding} image of {height} x {width} with step {step} needs {expected} bytes, '
+            f'got {len(buffer)}')
+    shape = (height, width) if channels == 1 else (height, width, channels)
+    strides = (step, channels * item.itemsize, item.itemsize)[:len(shape)]
+    pixels = np.ndarray(shape, stored, buffer, strides=strides)
+    if order is None:
+        return pixels.astype(item)
+    return luminance(pixels, order)
+
+
+def multiarray_to_frame(data: ArrayLike, dim_sizes: Sequence[int], dim_strides: Sequence[int],
+                        data_offset: int = 0) -> NDArray:
+    """Return the frame in a std_msgs multi-array message.
+
+    Element (i, j) of a layout with two dimensions is ``data[data_offset + dim[1].stride * i +
+    j]``, as the message definition says; the stride of the first dimension is the number of
+    items altogether and is not used. Strides of 0 stand for rows without gaps.
+
+    Parameters
+    ----------
+    data : array, shape (N,)
+        Items of the message.
+    dim_sizes, dim_strides : sequence of int
+        ``size`` and ``stride`` of each dimension of the layout. One dimension is a 1-D sensor
+        and gives a single row; of more than two, all but two must have size 1.
+    data_offset : int
+        Items before the first element.
+
+    Returns
+    -------
+    array, shape (H, W)
+        A copy with the type of ``data``.
+    """
+    items = np.asarray(data)
+    sizes = [int(size) for size in dim_sizes]
+    strides = [int(stride) for stride in dim_strides]
+    if not sizes or len(sizes) != len(strides):
+        raise DataError(
+            'the layout of a multi-array must name the size and stride of its rows and columns, '
+            f'got {len(sizes)} sizes and {len(strides)} strides')
+    if min(sizes) < 1 or min(strides) < 0 or data_offset < 0:
+        raise DataError(
+            'the layout of a multi-array must have sizes of at least 1 and no negative stride or '
+            f'offset, got sizes {sizes}, strides {strides} and offset {data_offset}')
+    steps = strides[1:] + [1]
+    inner = 1
+    for axis in range(len(sizes) - 1, -1, -1):
+        if axis < len(sizes) - 1:
+            steps[axis] = steps[axis] or inner
+        if sizes[axis] > 1 and steps[axis] < inner:
+            raise DataError(
+                f'the layout of a multi-array overlaps itself: stride {steps[axis]} is smaller '
+                f'than the {inner} items it must step over (sizes {sizes}, strides {strides})')
+        inner = max(inner, steps[axis]) * sizes[axis]
+    needed = data_offset + 1 + sum((n - 1) * step for n, step in zip(sizes, steps, strict=True))
+    if items.ndim != 1 or len(items) < needed:
+        raise DataError(
+            f'a multi-array with sizes {sizes}, strides {strides} and offset {data_offset} needs '
+            f'{needed} items, got {items.size}')
+    axes = [(n, step) for n, step in zip(sizes, steps, strict=True) if n > 1 or len(sizes) <= 2]
+    if len(axes) > 2:
+        raise DataError(f'a frame must have rows and columns alone, got sizes {sizes}')
+    while len(axes) < 2:
+        axes.insert(0, (1, needed))
+    (height, row_step), (width, column_step) = axes
+    first = data_offset + row_step * np.arange(height)
+    return items[first[:, None] + column_step * np.arange(width)]

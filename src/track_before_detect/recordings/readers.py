@@ -1,0 +1,71 @@
+"""Open a recording of any supported kind."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from track_before_detect.errors import DataError
+from track_before_detect.recordings.readers_images import (
+    FITS_SUFFIXES,
+    IMAGE_SUFFIXES,
+    open_fits,
+    open_image_folder,
+    open_tiff,
+    TIFF_SUFFIXES,
+)
+from track_before_detect.recordings.readers_npz import open_npz
+from track_before_detect.recordings.readers_rosbag import BAG_SUFFIXES, find_bag, open_rosbag
+from track_before_detect.recordings.recording import Recording
+
+__all__ = ['open_recording', 'Recording']
+
+SUPPORTED = ('.npz, a folder of images, multi-page .tif, .fits, or a rosbag2 (a folder, .db3 or '
+             '.mcap)')
+
+
+def open_recording(path: str | os.PathLike, topic: str | None = None) -> Recording:
+    """Open a recording; frames are read when asked for.
+
+    Parameters
+    ----------
+    path : path
+        ``.npz`` with ``frames`` (T, H, W) and optionally ``stamps`` or ``fps``, and ``truth``;
+        a folder of images; a multi-page TIFF; a FITS cube; a rosbag2 folder or storage file.
+    topic : str, optional
+        Topic of a bag; may be left out when only one topic is suitable.
+
+    Returns
+    -------
+    Recording
+
+    Raises
+    ------
+    DataError
+        When the input cannot be used.
+    MissingExtraError
+        When the package that reads this kind is not installed.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise DataError(f'{path} does not exist')
+    suffix = path.suffix.lower()
+    try:
+        bag = find_bag(path) if path.is_dir() else path if suffix in BAG_SUFFIXES else None
+        if topic is not None and bag is None:
+            raise DataError(f'only a rosbag2 has topics; {path} is none')
+        if bag is not None:
+            return open_rosbag(bag, topic)
+        if path.is_dir():
+            return open_image_folder(path)
+        if suffix == '.npz':
+            return open_npz(path)
+        if suffix in TIFF_SUFFIXES:
+            return open_tiff(path)
+        if suffix in FITS_SUFFIXES:
+            return open_fits(path)
+    except PermissionError as error:
+        raise DataError(f'{path} may not be read: {error.strerror}') from error
+    if suffix in IMAGE_SUFFIXES:
+        raise DataError(f'{path} is a single image; give the folder that holds all frames')
+    raise DataError(f'{path} is of an unknown kind; expected {SUPPORTED}')

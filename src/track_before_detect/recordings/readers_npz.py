@@ -1,0 +1,137 @@
+"""Recordings in NumPy archives."""
+
+from __future__ import annotations
+
+from pathlib import Path
+import zipfile
+import zlib
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.errors import DataError
+from track_before_detect.recordings.recording import Recording
+
+# What damaged or foreign archives raise in zipfile, zlib and numpy.lib.format.
+_READ_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, SyntaxError,
+                NotImplementedError, RuntimeError)
+_SKIP_BYTES = 2**20
+
+
+def open_npz(path: Path) -> Recording:
+    """Open an archive with ``frames`` (T, H, W) and optional ``stamps``, ``fps``, ``truth``."""
+    if path.stat().st_size == 0:
+        raise DataError(f'{path} is empty')
+    try:
+        archive = zipfile.ZipFile(path)
+    except _READ_ERRORS as error:
+        raise DataError(f'{path} is not a complete .npz archive: {error}') from error
+    try:
+        return _open_archive(path, archive)
+    except BaseException:
+        archive.close()
+        raise
+
+
+def _open_archive(path, archive):
+    names = {name[:-4] for name in archive.namelist() if name.endswith('.npy')}
+    if 'frames' not in names:
+        found = ', '.join(sorted(names)) or 'no arrays'
+        raise DataError(f"{path} must hold an array 'frames' (T, H, W), found {found}")
+    try:
+        source = _NpzSource(path, archive)
+    except DataError:
+        raise
+    except _READ_ERRORS as error:
+        raise DataError(f"array 'frames' of {path} cannot be read: {error}") from error
+    n_frames, height, width = source.shape
+    stamps = None
+    if 'stamps' in names:
+        stamps = _small_array(path, archive, 'stamps')
+    elif 'fps' in names:
+        fps = _small_array(path, archive, 'fps')
+        if fps.size != 1 or fps.dtype.kind not in 'iuf' or not 0 < float(fps.item()) < np.inf:
+            raise DataError(f"'fps' of {path} must be one positive number, got {fps!r}")
+        stamps = np.arange(n_frames) / float(fps.item())
+    truth = _small_array(path, archive, 'truth') if 'truth' in names else None
+    return Recording(path.name, (height, width), source.dtype, n_frames, source, stamps, truth)
+
+
+def _small_array(path, archive, name):
+    """Return a whole array of the archive."""
+    try:
+        with archive.open(f'{name}.npy') as file:
+            return np.lib.format.read_array(file, allow_pickle=False)
+    except _READ_ERRORS as error:
+        raise DataError(f'array {name!r} of {path} cannot be read: {error}') from error
+
+
+class _NpzSource:
+    """Streams the array ``frames`` forwards; a step back opens the member again."""
+
+    def __init__(self, path, archive):
+        self._path = path
+        self._archive = archive
+        self._member = archive.open('frames.npy')
+        self.shape, fortran_order, self.dtype = _read_header(self._member)
+        if self.dtype.hasobject or self.dtype.kind not in 'iufc':
+            raise DataError(
+                f"array 'frames' of {path} must be numbers (T, H, W), got type {self.dtype}")
+        if len(self.shape) != 3:
+            what = 'a single image' if len(self.shape) == 2 else f'{len(self.shape)} dimensions'
+            raise DataError(
+                f"array 'frames' of {path} must be (T, H, W), got {what} of shape {self.shape}")
+        self._next = 0
+        self._whole = None
+        if fortran_order:
+            # Here a frame is scattered over the whole file.
+            self._whole = _small_array(path, archive, 'frames')
+
+    def read(self, index: int) -> NDArray:
+        if self._whole is not None:
+            return np.array(self._whole[index], order='C')
+        n_bytes = self.shape[1] * self.shape[2] * self.dtype.itemsize
+        try:
+            if index < self._next:
+                self._member.close()
+                self._member = self._archive.open('frames.npy')
+                _read_header(self._member)
+                self._next = 0
+            self._skip((index - self._next) * n_bytes)
+            data = _read_exactly(self._member, n_bytes)
+        except _READ_ERRORS as error:
+            raise DataError(f'frame {index} of {self._path} cannot be read: {error}') from error
+        self._next = index + 1
+        return np.frombuffer(data, self.dtype).reshape(self.shape[1:]).astype(
+            self.dtype.newbyteorder('='))
+
+    def _skip(self, n_bytes):
+        while n_bytes > 0:
+            n_bytes -= len(_read_exactly(self._member, min(n_bytes, _SKIP_BYTES)))
+
+    def close(self) -> None:
+        self._member.close()
+        self._archive.close()
+
+
+def _read_header(file):
+    """Return shape, Fortran order and type of the array that starts here."""
+    version = np.lib.format.read_magic(file)
+    if version == (1, 0):
+        return np.lib.format.read_array_header_1_0(file)
+    if version == (2, 0):
+        return np.lib.format.read_array_header_2_0(file)
+    raise DataError(f'.npy format version {version[0]}.{version[1]} is not for plain numbers')
+
+
+def _read_exactly(file, n_bytes):
+    """Return ``n_bytes`` bytes; the archive ending before is an error."""
+    parts = []
+    missing = n_bytes
+    while missing:
+        part = file.read(missing)
+        if not part:
+            raise EOFError(f'the array ends {missing} bytes too early')
+        parts.append(part)
+        missing -= len(part)
+    return b''.join(parts)

@@ -1,0 +1,174 @@
+"""Recordings in ROS 2 bags, read without ROS."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.errors import DataError, MissingExtraError
+from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
+from track_before_detect.recordings.recording import Recording
+
+BAG_SUFFIXES = ('.db3', '.mcap')
+IMAGE_TYPE = 'sensor_msgs/msg/Image'
+ARRAY_TYPE = 'std_msgs/msg/Float32MultiArray'
+_TYPES = (IMAGE_TYPE, ARRAY_TYPE)
+
+
+def find_bag(folder: Path) -> Path | None:
+    """Return what to open as a bag in a folder, or None when it is not one.
+
+    A folder whose ``metadata.yaml`` was never written, because the recorder was killed, is
+    opened through its only storage file.
+    """
+    files = [file for file in folder.iterdir() if file.suffix in BAG_SUFFIXES]
+    if (folder / 'metadata.yaml').exists():
+        return folder
+    if len(files) > 1:
+        raise DataError(
+            f'{folder} has no metadata.yaml and {len(files)} storage files: open one of them, or '
+            'run ros2 bag reindex')
+    return files[0] if files else None
+
+
+def open_rosbag(path: Path, topic: str | None = None) -> Recording:
+    """Open one topic of a bag: a folder, or a single ``.db3`` or ``.mcap`` file.
+
+    Stamps are those of the message headers; messages without header, or with empty ones, have
+    the time at which they were received.
+    """
+    try:
+        from rosbags.rosbag2 import Reader
+        from rosbags.typesys import get_typestore, Stores
+    except ImportError as error:
+        raise MissingExtraError(
+            "reading bags needs rosbags: pip install 'track_before_detect[readers]'") from error
+    if path.is_file() and path.stat().st_size == 0:
+        raise DataError(f'{path} is empty')
+    # The bag library lets errors of sqlite, compression and YAML through, hence Exception.
+    try:
+        reader = Reader(path)
+        reader.open()
+    except Exception as error:
+        raise DataError(f'bag {path} cannot be opened: {_reason(error)}') from error
+    try:
+        connections = _choose_topic(path, reader.connections, topic)
+        source = _BagSource(path, reader, connections, get_typestore(Stores.ROS2_JAZZY))
+        return source.scan()
+    except BaseException:
+        reader.close()
+        raise
+
+
+def _choose_topic(path, connections, topic):
+    """Return the connections of the topic to read."""
+    suitable = sorted({c.topic for c in connections if c.msgtype in _TYPES and c.msgcount})
+    listed = ', '.join(suitable) or 'none'
+    if topic is None:
+        if len(suitable) != 1:
+            raise DataError(
+                f'{path} must have one topic of {IMAGE_TYPE} or {ARRAY_TYPE} with messages, or '
+                f'the topic must be named; found: {listed}')
+        topic = suitable[0]
+    chosen = [c for c in connections if c.topic.lstrip('/') == topic.lstrip('/')]
+    if not chosen:
+        raise DataError(f'{path} has no topic {topic}; suitable topics: {listed}')
+    for connection in chosen:
+        if connection.msgtype not in _TYPES:
+            raise DataError(
+                f'topic {topic} of {path} must be {IMAGE_TYPE} or {ARRAY_TYPE}, got '
+                f'{connection.msgtype}; suitable topics: {listed}')
+    return chosen
+
+
+class _BagSource:
+    """Reads messages forwards; a jump starts again at the time of the frame wanted."""
+
+    def __init__(self, path, reader, connections, typestore):
+        self._path = path
+        self._reader = reader
+        self._connections = connections
+        self._typestore = typestore
+        self._received = []
+        self._messages = iter(())
+        self._next = -1
+
+    def scan(self) -> Recording:
+        """Read all messages once for their stamps, and return the recording."""
+        header_stamps = []
+        frame_id = ''
+        first = None
+        self._start(0)
+        for index, (received, message) in enumerate(self._iterate()):
+            self._received.append(received)
+            header = getattr(message, 'header', None)
+            if header is not None:
+                header_stamps.append(header.stamp.sec + 1e-9 * header.stamp.nanosec)
+                frame_id = frame_id or header.frame_id
+            if first is None:
+                first = self._decode(index, message)
+        name = self._path.resolve().name
+        if first is None:
+            raise DataError(f'topic {self._connections[0].topic} of {name} has no messages')
+        stamps = 1e-9 * np.array(self._received, np.float64)
+        if len(header_stamps) == len(stamps) and any(header_stamps):
+            stamps = np.array(header_stamps)
+        self._messages = iter(())
+        self._next = -1
+        return Recording(name, first.shape, first.dtype, len(stamps), self, stamps,
+                         frame_id=frame_id)
+
+    def read(self, index: int) -> NDArray:
+        if index != self._next:
+            self._start(index)
+        for _, message in self._iterate():
+            self._next = index + 1
+            return self._decode(index, message)
+        raise DataError(f'message {index} of {self._path} has disappeared')
+
+    def _start(self, index):
+        """Let the next message be number ``index``."""
+        if not self._received:
+            self._messages = self._reader.messages(self._connections)
+            return
+        time = self._received[index]
+        self._messages = self._reader.messages(self._connections, start=time)
+        # Several messages may have been received at the same time.
+        for _ in range(index - self._received.index(time)):
+            next(self._messages)
+
+    def _iterate(self):
+        while True:
+            try:
+                item = next(self._messages, None)
+                if item is None:
+                    return
+                connection, received, raw = item
+                message = self._typestore.deserialize_cdr(raw, connection.msgtype)
+            except Exception as error:
+                raise DataError(
+                    f'bag {self._path} cannot be read to the end: {_reason(error)}') from error
+            yield received, message
+
+    def _decode(self, index, message):
+        try:
+            if hasattr(message, 'encoding'):
+                return decode_image(message.data, message.encoding, message.height,
+                                    message.width, message.step, message.is_bigendian)
+            layout = message.layout
+            return multiarray_to_frame(message.data, [dim.size for dim in layout.dim],
+                                       [dim.stride for dim in layout.dim], layout.data_offset)
+        except DataError as error:
+            raise DataError(f'message {index} of {self._path}: {error}') from error
+
+    def close(self) -> None:
+        self._messages = iter(())
+        if self._reader.is_open:
+            self._reader.close()
+
+
+def _reason(error):
+    """Return the first line of what an error says, or its name."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0]

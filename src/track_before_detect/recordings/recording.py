@@ -1,0 +1,146 @@
+"""A recording that is read frame by frame."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from track_before_detect.errors import DataError
+
+# Frames kept for the overlap of successive batches; 20 frames of 1024 x 1024 float32 fit.
+CACHE_BYTES = 128 * 2**20
+
+
+class FrameSource(Protocol):
+    """Where the frames of a recording come from; made for reading forwards."""
+
+    def read(self, index: int) -> NDArray:
+        """Return frame ``index``, shape (H, W)."""
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+class Recording:
+    """Frames in time order, read when asked for.
+
+    Recently read frames are kept, up to a fixed amount of memory, so that overlapping batches
+    do not read the file twice. Usable as a context manager.
+
+    Parameters
+    ----------
+    name : str
+        File or folder name, for titles and messages.
+    shape : tuple of int
+        Height and width of every frame in pixels.
+    dtype : dtype
+        Type of the pixels, in native byte order.
+    n_frames : int
+        Number of frames, at least one.
+    source : FrameSource
+        Reads one frame.
+    stamps : array, shape (T,), or None
+        Seconds; None makes them up as 1 s apart.
+    truth : array, shape (N, 4), or None
+        Rows [frame, id, x, y].
+    frame_id : str
+        Coordinate frame of the sensor.
+    """
+
+    def __init__(self, name: str, shape: tuple[int, int], dtype: np.dtype, n_frames: int,
+                 source: FrameSource, stamps: ArrayLike | None = None,
+                 truth: ArrayLike | None = None, frame_id: str = ''):
+        if n_frames < 1:
+            raise DataError(f'{name} holds no frames')
+        if min(shape) < 1:
+            raise DataError(f'frames of {name} have no pixels: {shape[0]} x {shape[1]}')
+        dtype = np.dtype(dtype).newbyteorder('=')
+        if dtype.kind not in 'iufc':
+            raise DataError(f'frames of {name} must be numbers, got {dtype}')
+        self.name = name
+        self.shape = (int(shape[0]), int(shape[1]))
+        self.dtype = dtype
+        self.stamps_known = stamps is not None
+        self.stamps = _checked_stamps(name, stamps, n_frames)
+        self.truth = None if truth is None else _checked_truth(name, truth)
+        self.frame_id = frame_id
+        self._source = source
+        self._cache: OrderedDict[int, NDArray] = OrderedDict()
+        self._cache_length = max(2, CACHE_BYTES // (shape[0] * shape[1] * dtype.itemsize))
+
+    def __len__(self) -> int:
+        return len(self.stamps)
+
+    def __getitem__(self, index: int) -> NDArray:
+        """Return one frame, shape (H, W); the array must not be changed."""
+        position = int(index)
+        if position < 0:
+            position += len(self)
+        if not 0 <= position < len(self):
+            raise IndexError(f'{self.name} has frames 0 to {len(self) - 1}, asked for {index}')
+        if position in self._cache:
+            return self._cache[position]
+        frame = np.asarray(self._source.read(position))
+        if frame.shape != self.shape or frame.dtype.newbyteorder('=') != self.dtype:
+            raise DataError(
+                f'frame {position} of {self.name} must be like the first, {self.shape[0]} x '
+                f'{self.shape[1]} of {self.dtype}, got '
+                f'{" x ".join(map(str, frame.shape))} of {frame.dtype}')
+        frame = frame.astype(self.dtype, copy=False)
+        frame.flags.writeable = False
+        self._cache[position] = frame
+        if len(self._cache) > self._cache_length:
+            self._cache.popitem(last=False)
+        return frame
+
+    def close(self) -> None:
+        """Close the file."""
+        self._cache.clear()
+        self._source.close()
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(self, *_) -> None:
+        self.close()
+
+
+def _checked_stamps(name, stamps, n_frames):
+    """Return stamps as float64, made up when there are none."""
+    if stamps is None:
+        return np.arange(n_frames, dtype=np.float64)
+    stamps = np.asarray(stamps)
+    if stamps.dtype.kind not in 'iuf':
+        raise DataError(f'stamps of {name} must be real numbers (seconds), got {stamps.dtype}')
+    if stamps.shape != (n_frames,):
+        raise DataError(
+            f'{name} must have one stamp per frame ({n_frames}), got an array of shape '
+            f'{stamps.shape}')
+    stamps = stamps.astype(np.float64)
+    bad = np.flatnonzero(~np.isfinite(stamps))
+    if len(bad):
+        raise DataError(
+            f'stamps of {name} must be finite, got {stamps[bad[0]]} at frame {bad[0]}')
+    bad = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(bad):
+        k = int(bad[0]) + 1
+        raise DataError(
+            f'stamps of {name} must be strictly increasing, got {float(stamps[k])!r} s at frame '
+            f'{k} after {float(stamps[k - 1])!r} s')
+    return stamps
+
+
+def _checked_truth(name, truth):
+    """Return truth rows as float64."""
+    truth = np.asarray(truth)
+    if truth.dtype.kind not in 'iuf' or truth.ndim != 2 or truth.shape[1] != 4:
+        raise DataError(
+            f'truth of {name} must be rows [frame, id, x, y], got an array of shape '
+            f'{truth.shape} of {truth.dtype}')
+    truth = truth.astype(np.float64)
+    if not np.isfinite(truth).all():
+        raise DataError(f'truth of {name} must be finite')
+    return truth

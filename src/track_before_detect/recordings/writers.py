@@ -1,0 +1,105 @@
+"""Write trajectories, summaries and recordings, each file whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+import csv
+import json
+import math
+import os
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from track_before_detect.recordings.atomic import atomic_path
+from track_before_detect.types import Trajectory
+
+CSV_COLUMNS = ('trajectory_id', 'frame', 'stamp_s', 'x_px', 'y_px', 'vx_px_s', 'vy_px_s',
+               'amplitude', 'snr', 'statistic')
+
+
+def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Trajectory]) -> None:
+    """Write one row per trajectory and frame in which it is present.
+
+    Positions are in pixels of the original frames, stamps in seconds with microseconds. ``snr``
+    and ``statistic`` belong to the trajectory as a whole. A complex amplitude is given by its
+    magnitude; a velocity that is not known is left empty. Without trajectories the file holds
+    the header alone.
+
+    Parameters
+    ----------
+    path : path
+    trajectories : iterable of Trajectory
+    """
+    with atomic_path(path) as partial, open(partial, 'w', newline='', encoding='utf-8') as file:
+        writer = csv.writer(file, lineterminator='\n')
+        writer.writerow(CSV_COLUMNS)
+        for trajectory in trajectories:
+            for k in np.flatnonzero(np.isfinite(trajectory.positions).all(axis=1)):
+                writer.writerow([
+                    int(trajectory.id), int(trajectory.frame_indices[k]),
+                    f'{trajectory.stamps[k]:.6f}',
+                    *(_fixed(value, 3) for value in trajectory.positions[k]),
+                    *(_fixed(value, 4) for value in trajectory.velocity[k]),
+                    _significant(abs(trajectory.amplitudes[k])),
+                    _significant(trajectory.snr), _significant(trajectory.statistic)])
+
+
+def write_summary_json(path: str | os.PathLike, mapping: Mapping[str, Any]) -> None:
+    """Write a mapping as JSON; numbers that are not finite become null.
+
+    Parameters
+    ----------
+    path : path
+    mapping : mapping
+        Values may be nested and may be NumPy scalars and arrays.
+    """
+    text = json.dumps(_plain(mapping), indent=2, allow_nan=False, ensure_ascii=False)
+    with atomic_path(path) as partial:
+        partial.write_text(text + '\n', encoding='utf-8')
+
+
+def write_npz_recording(path: str | os.PathLike, frames: ArrayLike, stamps: ArrayLike,
+                        truth: ArrayLike | None = None) -> None:
+    """Write a recording that :func:`~.readers.open_recording` reads.
+
+    Parameters
+    ----------
+    path : path
+        Ends with ``.npz``.
+    frames : array, shape (T, H, W)
+    stamps : array, shape (T,)
+        Seconds.
+    truth : array, shape (N, 4), optional
+        Rows [frame, id, x, y].
+    """
+    rows = np.zeros((0, 4)) if truth is None else np.asarray(truth)
+    with atomic_path(path) as partial, open(partial, 'wb') as file:
+        # Noise hardly compresses, and stored frames are read much faster.
+        np.savez(file, frames=np.asarray(frames), stamps=np.asarray(stamps), truth=rows)
+
+
+def _fixed(value, digits):
+    return f'{value:.{digits}f}' if math.isfinite(value) else ''
+
+
+def _significant(value):
+    return f'{value:.6g}' if math.isfinite(value) else ''
+
+
+def _plain(value):
+    """Return ``value`` in types JSON knows."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    return str(value)
