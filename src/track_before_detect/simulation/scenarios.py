@@ -135,7 +135,8 @@ SCENARIOS: dict[str, Scenario] = {
         'Two targets side by side.', n_targets=2, snr=4.0, motion='parallel',
         speed_px_per_frame=0.8, separation_px=5.0),
     'maneuver': Scenario(
-        'One target on an arc.', n_frames=30, snr=4.0, motion='arc', radius_px=25.0),
+        'One target on an arc.', n_frames=30, snr=4.0, motion='arc',
+        speed_px_per_frame=0.9, radius_px=25.0),
     'noise': Scenario('Noise alone.', n_targets=0),
 }
 
