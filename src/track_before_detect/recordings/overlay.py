@@ -16,7 +16,9 @@ from track_before_detect.types import Trajectory
 COLOURS = ((255, 89, 94), (54, 197, 240), (255, 202, 58), (138, 201, 38), (214, 122, 255),
            (255, 146, 43), (0, 212, 166), (255, 130, 190), (122, 156, 255), (200, 220, 120))
 _STRETCH_SAMPLES = 65536
-_MAX_LABEL_COUNT = 60
+# More numbers than this cover what they name.
+_MAX_LABELS_IN_PLANE = 60
+_MAX_LABELS_OVER_TIME = 15
 
 
 def colour_of(trajectory_id: int) -> tuple[int, int, int]:
@@ -109,17 +111,27 @@ def write_overlay(path: str | os.PathLike, image: NDArray, trajectories: Sequenc
     over_y = figure.add_subplot(grid[1, 1], sharex=over_x)
     low, high = contrast_limits(image)
     plane.imshow(image, cmap='gray', vmin=low, vmax=high, interpolation='nearest')
+    # Pixels that are masked stay empty.
+    plane.set_facecolor('black')
     plane.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel='x [px]',
               ylabel='y [px]')
     _draw_truth((plane, over_x, over_y), truth)
-    for number, trajectory in enumerate(trajectories):
-        _draw_trajectory((plane, over_x, over_y), trajectory, frame_index,
-                         labelled=number < _MAX_LABEL_COUNT)
+    for trajectory in trajectories:
+        _draw_trajectory((plane, over_x, over_y), trajectory, frame_index)
+    for trajectory in trajectories[:_MAX_LABELS_IN_PLANE]:
+        _draw_label(plane, trajectory, trajectory.positions)
+    if len(trajectories) <= _MAX_LABELS_OVER_TIME:
+        for trajectory in trajectories:
+            for axes, axis in ((over_x, 0), (over_y, 1)):
+                _draw_label(axes, trajectory, np.column_stack(
+                    [trajectory.frame_indices, trajectory.positions[:, axis]]))
     over_x.set(ylabel='x [px]')
     over_x.tick_params(labelbottom=False)
     over_y.set(ylabel='y [px]', xlabel='frame')
     for axes in (over_x, over_y):
         axes.grid(alpha=0.3)
+        # Room for the labels at the right.
+        axes.margins(x=0.08)
     if truth is not None and len(truth):
         handles, labels = over_x.get_legend_handles_labels()
         over_x.legend(handles, labels, fontsize='small', loc='best')
@@ -149,13 +161,10 @@ def _draw_truth(axes, truth):
         label = '_nolegend_'
 
 
-def _draw_trajectory(axes, trajectory, frame_index, labelled):
+def _draw_trajectory(axes, trajectory, frame_index):
     """Draw one trajectory in all panels."""
-    from matplotlib.patheffects import withStroke
-
     plane, over_x, over_y = axes
     colour = tuple(channel / 255 for channel in colour_of(trajectory.id))
-    outline = [withStroke(linewidth=2.2, foreground='black')]
     x, y = np.asarray(trajectory.positions, np.float64).T
     frames = trajectory.frame_indices
     present = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
@@ -174,12 +183,20 @@ def _draw_trajectory(axes, trajectory, frame_index, labelled):
     if len(present) == 1:
         over_x.plot(frames[last], x[last], marker='.', color=colour)
         over_y.plot(frames[last], y[last], marker='.', color=colour)
-    if labelled:
-        for panel, point in ((plane, (x[last], y[last])), (over_x, (frames[last], x[last])),
-                             (over_y, (frames[last], y[last]))):
-            panel.annotate(str(trajectory.id), point, xytext=(4, 3), textcoords='offset points',
-                           color=colour, fontsize=8, path_effects=outline, zorder=5,
-                           annotation_clip=True)
+
+
+def _draw_label(axes, trajectory, points):
+    """Write the number of a trajectory beside the last of its points (T, 2)."""
+    from matplotlib.patheffects import withStroke
+
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points):
+        axes.annotate(
+            str(trajectory.id), points[-1], xytext=(4, 3), textcoords='offset points',
+            color=tuple(channel / 255 for channel in colour_of(trajectory.id)), fontsize=9,
+            fontweight='bold',
+            path_effects=[withStroke(linewidth=2.2, foreground='black')], zorder=5,
+            annotation_clip=True)
 
 
 def _real(frame):
