@@ -1,0 +1,274 @@
+"""Between messages and arrays: the one file that knows both.
+
+Positions stay in pixels: in markers, paths and points one metre of ROS stands for one pixel, x to
+the right, y down, z = 0.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Mapping
+
+from builtin_interfaces.msg import Duration, Time
+from geometry_msgs.msg import Point, PoseStamped
+from nav_msgs.msg import Path
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image, PointCloud2, PointField
+from std_msgs.msg import (
+    ColorRGBA,
+    Float32MultiArray,
+    Header,
+    MultiArrayDimension,
+    MultiArrayLayout,
+)
+from visualization_msgs.msg import Marker, MarkerArray
+
+from track_before_detect.errors import DataError
+from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
+from track_before_detect.recordings.overlay import colour_of
+from track_before_detect.types import Trajectory
+
+ENCODING_OF_DTYPE = {'uint8': 'mono8', 'uint16': 'mono16', 'float32': '32FC1', 'float64': '64FC1'}
+
+POINT_DTYPE = np.dtype([
+    ('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('id', '<i4'), ('t', '<f8'), ('vx', '<f4'),
+    ('vy', '<f4'), ('amplitude', '<f4'), ('snr', '<f4')])
+_POINT_FIELD_TYPES = {
+    'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'i4': PointField.INT32}
+
+LINE_WIDTH_PX = 0.75
+LABEL_HEIGHT_PX = 5.0
+
+
+def seconds_from_time(stamp: Time) -> float:
+    """Return a time stamp in seconds (float64: 0.2 microseconds exact in our century)."""
+    return stamp.sec + 1e-9 * stamp.nanosec
+
+
+def time_from_seconds(seconds: float) -> Time:
+    """Return the time stamp nearest to ``seconds``."""
+    total = round(seconds * 1e9)
+    sec, nanosec = divmod(total, 10**9)
+    if not -2**31 <= sec < 2**31:
+        raise DataError(f'a time stamp must be within 2^31 s of zero, got {seconds:g} s')
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def frame_from_image(message: Image) -> NDArray:
+    """Return the pixels of an image, shape (H, W), colour as luminance."""
+    return decode_image(message.data, message.encoding, message.height, message.width,
+                        message.step, message.is_bigendian)
+
+
+def frame_from_multiarray(message: Float32MultiArray) -> NDArray:
+    """Return the frame in a multi-array whose layout names rows and columns, shape (H, W)."""
+    dimensions = message.layout.dim
+    return multiarray_to_frame(
+        np.frombuffer(message.data, np.float32), [dim.size for dim in dimensions],
+        [dim.stride for dim in dimensions], message.layout.data_offset)
+
+
+def sendable(frame: NDArray) -> NDArray:
+    """Return a frame in the smallest type that an image can carry without loss."""
+    if np.iscomplexobj(frame):
+        raise DataError('complex frames cannot be sent as images; send their magnitude')
+    if frame.dtype.name in ENCODING_OF_DTYPE:
+        return frame
+    for name in ENCODING_OF_DTYPE:
+        if np.can_cast(frame.dtype, name):
+            return frame.astype(name)
+    return frame.astype(np.float64)
+
+
+def image_from_frame(frame: NDArray, header: Header) -> Image:
+    """Return an image of mono8, mono16, 32FC1 or 64FC1, by the type of the pixels.
+
+    Parameters
+    ----------
+    frame : array, shape (H, W)
+        uint8, uint16, float32 or float64; see :func:`sendable`.
+    header : Header
+        Stamp and coordinate frame.
+    """
+    height, width = frame.shape
+    stored = np.ascontiguousarray(frame, frame.dtype.newbyteorder('<'))
+    message = Image(header=header, height=height, width=width,
+                    encoding=ENCODING_OF_DTYPE[frame.dtype.name], is_bigendian=0,
+                    step=width * frame.dtype.itemsize)
+    message.data = _octets(stored)
+    return message
+
+
+def image_from_colours(pixels: NDArray[np.uint8], header: Header) -> Image:
+    """Return an rgb8 image of pixels, shape (H, W, 3)."""
+    height, width, _ = pixels.shape
+    message = Image(header=header, height=height, width=width, encoding='rgb8', is_bigendian=0,
+                    step=3 * width)
+    message.data = _octets(pixels)
+    return message
+
+
+def multiarray_from_frame(frame: NDArray) -> Float32MultiArray:
+    """Return a multi-array with rows and columns named in its layout."""
+    height, width = frame.shape
+    data = array('f')
+    data.frombytes(np.ascontiguousarray(frame, np.float32).tobytes())
+    layout = MultiArrayLayout(data_offset=0, dim=[
+        MultiArrayDimension(label='rows', size=height, stride=height * width),
+        MultiArrayDimension(label='columns', size=width, stride=width)])
+    message = Float32MultiArray(layout=layout)
+    message.data = data
+    return message
+
+
+def paths_from_trajectories(
+        trajectories: Iterable[Trajectory], header: Header,
+        stamps: Mapping[int, Time] | None = None) -> list[Path]:
+    """Return one path per trajectory, with a stamped pose for each frame it is present in.
+
+    Parameters
+    ----------
+    trajectories : iterable of Trajectory
+        What was found.
+    header : Header
+        Of the newest frame.
+    stamps : mapping from frame index to Time, optional
+        The frames' own stamps; a frame that is missing gets the nearest nanosecond.
+    """
+    return [
+        Path(header=header, poses=[
+            _pose(position, _stamp(trajectory, row, stamps), header.frame_id)
+            for row, position in _present(trajectory)])
+        for trajectory in trajectories]
+
+
+def path_from_positions(positions: NDArray, stamps_s: Iterable[float], header: Header) -> Path:
+    """Return a path through positions (T, 2) at the given seconds."""
+    return Path(header=header, poses=[
+        _pose(position, time_from_seconds(second), header.frame_id)
+        for position, second in zip(positions, stamps_s, strict=True)])
+
+
+def points_from_trajectories(trajectories: Iterable[Trajectory], header: Header) -> PointCloud2:
+    """Return one point per trajectory and frame it is present in.
+
+    Fields: x and y in pixels, z = 0, id, t in seconds since the epoch of the stamps (float64), vx
+    and vy in pixels per second, amplitude (the magnitude), snr (of the whole trajectory).
+    """
+    rows = [
+        (*position, 0.0, trajectory.id, trajectory.stamps[row], *trajectory.velocity[row],
+         abs(trajectory.amplitudes[row]), trajectory.snr)
+        for trajectory in trajectories for row, position in _present(trajectory)]
+    points = np.array(rows, POINT_DTYPE)
+    fields = []
+    for name, (kind, offset, *_) in (POINT_DTYPE.fields or {}).items():
+        fields.append(PointField(name=name, offset=offset, count=1,
+                                 datatype=_POINT_FIELD_TYPES[kind.str[1:]]))
+    message = PointCloud2(
+        header=header, height=1, width=len(points), fields=fields, is_bigendian=False,
+        point_step=POINT_DTYPE.itemsize, row_step=POINT_DTYPE.itemsize * len(points),
+        is_dense=True)
+    message.data = _octets(points)
+    return message
+
+
+def points_to_array(message: PointCloud2) -> NDArray:
+    """Return the points of a cloud as a structured array, whatever its fields.
+
+    Parameters
+    ----------
+    message : PointCloud2
+        With fields of one 32- or 64-bit number each, as ``trajectories/points`` has.
+    """
+    order = '>' if message.is_bigendian else '<'
+    codes = {code: kind for kind, code in _POINT_FIELD_TYPES.items()}
+    for field in message.fields:
+        if field.datatype not in codes or field.count != 1:
+            raise DataError(f'field {field.name!r} of the cloud is of type {field.datatype} x '
+                            f'{field.count}, expected a float32, float64 or int32')
+    dtype = np.dtype({
+        'names': [field.name for field in message.fields],
+        'formats': [order + codes[field.datatype] for field in message.fields],
+        'offsets': [field.offset for field in message.fields],
+        'itemsize': message.point_step})
+    return np.frombuffer(message.data, dtype, count=message.width * message.height).copy()
+
+
+def markers_from_trajectories(
+        trajectories: Iterable[Trajectory], header: Header, lifetime_s: float,
+        ended: Iterable[int] = ()) -> MarkerArray:
+    """Return a line and a label per trajectory, and the removal of those that ended.
+
+    Parameters
+    ----------
+    trajectories : iterable of Trajectory
+        What is there; ids of markers are theirs.
+    header : Header
+        Of the newest frame.
+    lifetime_s : float
+        After which a viewer drops a marker that was not renewed.
+    ended : iterable of int
+        Ids of trajectories shown before that are no more.
+    """
+    lifetime = Duration(sec=int(lifetime_s), nanosec=int(lifetime_s % 1.0 * 1e9))
+    markers = []
+    for trajectory in trajectories:
+        points = [_point(position) for _, position in _present(trajectory)]
+        if not points:
+            continue
+        # A line of a single point is not drawn.
+        points = points if len(points) > 1 else points * 2
+        colour = _colour(trajectory.id)
+        line = Marker(header=header, ns='trajectory', id=trajectory.id, type=Marker.LINE_STRIP,
+                      action=Marker.ADD, points=points, color=colour, lifetime=lifetime)
+        line.scale.x = LINE_WIDTH_PX
+        line.pose.orientation.w = 1.0
+        label = Marker(header=header, ns='label', id=trajectory.id,
+                       type=Marker.TEXT_VIEW_FACING, action=Marker.ADD, color=colour,
+                       lifetime=lifetime, text=f'{trajectory.id}  SNR {trajectory.snr:.1f}')
+        label.scale.z = LABEL_HEIGHT_PX
+        label.pose.position = _point((points[-1].x, points[-1].y - LABEL_HEIGHT_PX))
+        label.pose.orientation.w = 1.0
+        markers += [line, label]
+    for identity in ended:
+        markers += [Marker(header=header, ns=ns, id=identity, action=Marker.DELETE)
+                    for ns in ('trajectory', 'label')]
+    return MarkerArray(markers=markers)
+
+
+def _octets(values):
+    # rclpy checks other types item by item, and in the constructor even this one.
+    octets = array('B')
+    octets.frombytes(values.tobytes())
+    return octets
+
+
+def _present(trajectory):
+    """Yield row number and position of every frame the target is present in."""
+    for row, position in enumerate(trajectory.positions):
+        if np.isfinite(position).all():
+            yield row, position
+
+
+def _stamp(trajectory, row, stamps):
+    index = int(trajectory.frame_indices[row])
+    if stamps is not None and index in stamps:
+        return stamps[index]
+    return time_from_seconds(float(trajectory.stamps[row]))
+
+
+def _point(position):
+    return Point(x=float(position[0]), y=float(position[1]), z=0.0)
+
+
+def _pose(position, stamp, frame_id):
+    pose = PoseStamped(header=Header(stamp=stamp, frame_id=frame_id))
+    pose.pose.position = _point(position)
+    pose.pose.orientation.w = 1.0
+    return pose
+
+
+def _colour(identity):
+    red, green, blue = (channel / 255 for channel in colour_of(identity))
+    return ColorRGBA(r=red, g=green, b=blue, a=1.0)

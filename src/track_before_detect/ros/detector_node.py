@@ -1,0 +1,331 @@
+"""Node ``detector``: frames in, trajectories out.
+
+Topics (relative): in ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Float32MultiArray); out
+``trajectories/markers``, ``trajectories/path``, ``trajectories/points``, ``overlay`` and
+``/diagnostics``. Service ``~/flush`` (std_srvs/Trigger) has the frames that were in no batch yet
+searched at once.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+import math
+import os
+import sys
+import threading
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import Path
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.qos import (
+    qos_policy_name_from_kind,
+    QoSDurabilityPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from sensor_msgs.msg import Image, PointCloud2
+from std_msgs.msg import Float32MultiArray, Header
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import MarkerArray
+
+from track_before_detect.errors import TbdError
+from track_before_detect.recordings.overlay import render_overlay
+from track_before_detect.ros import conversions
+from track_before_detect.ros.parameters import (
+    NodeParameter,
+    option_parameters,
+    options_from_parameters,
+    ParameterizedNode,
+)
+from track_before_detect.ros.running import run
+from track_before_detect.ros.worker import (
+    DEFAULT_BATCH_LENGTH,
+    StreamResult,
+    StreamSettings,
+    StreamWorker,
+)
+
+INPUT_DEPTH = 20
+OUTPUT_DEPTH = 50
+DIAGNOSTICS_PERIOD_S = 1.0
+WARNING_PERIOD_S = 5.0
+PROGRESS_PERIOD_S = 2.0
+LIFETIME_BATCHES = 3.0
+STOP_TIMEOUT_S = 3.0
+
+RCLError, InvalidHandle = rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle
+
+PARAMETERS = [
+    *option_parameters({'batch_length': DEFAULT_BATCH_LENGTH}),
+    NodeParameter(
+        'max_gap_s', 0.0, 'Longest pause between two frames of a batch; a longer one starts a '
+        'new batch. Automatic is the duration of a batch.', 'number', unit='s', minimum=0.0,
+        live=True, optional=True),
+    NodeParameter(
+        'flush_after_s', 0.0, 'Time without a new frame after which frames that were in no batch '
+        'yet are searched all the same. Automatic is five frame intervals, at least 1 s.',
+        'number', unit='s', minimum=0.0, live=True, optional=True),
+    NodeParameter(
+        'queue_length', 0, 'Frames that may wait while a batch is searched; the oldest are '
+        'dropped. Automatic is three batches.', 'integer', unit='frames', minimum=0,
+        live=True, optional=True),
+    NodeParameter(
+        'frame_height', 0, 'Height of the frames; with frame_width and frame_rate_hz the search '
+        'is prepared before the first frame arrives. Automatic waits for frames.', 'integer',
+        unit='px', minimum=0, optional=True),
+    NodeParameter(
+        'frame_width', 0, 'Width of the frames; see frame_height.', 'integer', unit='px',
+        minimum=0, optional=True),
+    NodeParameter(
+        'frame_rate_hz', 0.0, 'Frames per second; see frame_height.', 'number', unit='Hz',
+        minimum=0.0, optional=True),
+    NodeParameter(
+        'reliable', False, 'Whether to ask for lost frames to be sent again; a best-effort '
+        'publisher is then not heard.', 'boolean'),
+]
+
+
+class DetectorNode(ParameterizedNode):
+    """Wires subscriptions to the worker, and its results to publishers."""
+
+    def __init__(self) -> None:
+        super().__init__('detector', PARAMETERS)
+        self._lock = threading.Lock()
+        self._shown: set[int] = set()
+        self._last_header = Header()
+        self._warned_at: dict[str, float] = {}
+        self._last_warning = ''
+        self._last_warning_s = -math.inf
+        self._logged_state = ('', 0.0)
+        self._n_incompatible = 0
+        self._n_lost = 0
+        self._create_outputs()
+        self._create_inputs()
+        self.refuse_unknown_parameters()
+        values = self.values()
+        shape = (values['frame_height'], values['frame_width'])
+        rate = values['frame_rate_hz']
+        known = min(shape) > 0 and rate > 0.0
+        self._worker = StreamWorker(
+            _options(values), _settings(values),
+            expected_shape=shape if known else None,
+            expected_interval_s=1.0 / rate if known else None,
+            on_result=self._publish, on_reset=self._clear_markers, on_state=self._state_changed,
+            on_warning=self._warn)
+        self._worker.start()
+
+    def check_values(self, values):
+        """Raise ParameterError when options do not go together."""
+        _options(values)
+
+    def on_change(self, names):
+        """Hand changed parameters to the worker, which uses them from the next batch on."""
+        self.get_logger().info(f'changed: {", ".join(names)}; in effect from the next batch on')
+        values = self.values()
+        self._worker.configure(_options(values), _settings(values))
+
+    def stop(self) -> bool:
+        """Stop the worker; return whether it stopped in time."""
+        return self._worker.stop(STOP_TIMEOUT_S)
+
+    def _create_inputs(self):
+        reliability = (QoSReliabilityPolicy.RELIABLE if self.values()['reliable']
+                       else QoSReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=INPUT_DEPTH, reliability=reliability,
+                         durability=QoSDurabilityPolicy.VOLATILE)
+        inputs = (('image', Image, self._take_image),
+                  ('frame', Float32MultiArray, self._take_multiarray))
+        for topic, kind, callback in inputs:
+            with self.overridable_qos():
+                self.create_subscription(
+                    kind, topic, callback, qos, event_callbacks=self._event_callbacks(topic),
+                    qos_overriding_options=QoSOverridingOptions.with_default_policies())
+
+    def _create_outputs(self):
+        def publisher(kind, topic):
+            return self.create_publisher(kind, topic, OUTPUT_DEPTH)
+        self._markers = publisher(MarkerArray, 'trajectories/markers')
+        self._paths = publisher(Path, 'trajectories/path')
+        self._points = publisher(PointCloud2, 'trajectories/points')
+        self._overlay = publisher(Image, 'overlay')
+        self._diagnostics = publisher(DiagnosticArray, '/diagnostics')
+        self.create_service(Trigger, '~/flush', self._flush)
+        # Diagnostics must go on when a simulated clock stands still.
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
+                          clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def _event_callbacks(self, topic):
+        def incompatible(event):
+            self._n_incompatible += event.total_count_change
+            policy = qos_policy_name_from_kind(event.last_policy_kind)
+            self._warn(f'qos {topic}', (
+                f'a publisher on {topic!r} offers a quality of service ({policy}) that this '
+                'node cannot take, so nothing is received from it; set the parameter reliable '
+                'to what the publisher offers'))
+
+        def lost(event):
+            self._n_lost += event.total_count_change
+            self._warn(f'lost {topic}', f'{event.total_count} messages on {topic!r} were lost')
+
+        return SubscriptionEventCallbacks(incompatible_qos=incompatible, message_lost=lost)
+
+    def _take_image(self, message: Image) -> None:
+        self._take(lambda: conversions.frame_from_image(message), message.header)
+
+    def _take_multiarray(self, message: Float32MultiArray) -> None:
+        header = Header(stamp=self.get_clock().now().to_msg())
+        self._take(lambda: conversions.frame_from_multiarray(message), header)
+
+    def _take(self, convert, header):
+        try:
+            pixels = convert()
+        except TbdError as error:
+            self._worker.refuse()
+            self._warn('message', f'message refused: {error}')
+            return
+        self._worker.put(pixels, conversions.seconds_from_time(header.stamp), header)
+
+    def _flush(self, _request, response):
+        self._worker.flush()
+        response.success = True
+        response.message = 'the frames that were in no batch yet are being searched'
+        return response
+
+    def _publish(self, result: StreamResult) -> None:
+        trajectories = result.detection.trajectories
+        header = result.tags[int(result.batch.frame_indices[-1])]
+        stamps = {index: tag.stamp for index, tag in result.tags.items()}
+        values = self.values()
+        interval_s = result.interval_s or 1.0
+        lifetime_s = LIFETIME_BATCHES * _settings(values).hop * interval_s
+        with self._lock:
+            shown = {trajectory.id for trajectory in trajectories}
+            ended, self._shown = self._shown - shown, shown
+            self._last_header = header
+        self._send(self._markers, conversions.markers_from_trajectories(
+            trajectories, header, lifetime_s, sorted(ended)))
+        for path in conversions.paths_from_trajectories(trajectories, header, stamps):
+            self._send(self._paths, path)
+        self._send(self._points, conversions.points_from_trajectories(trajectories, header))
+        if self.context.ok() and self._overlay.get_subscription_count():
+            pixels = render_overlay(result.batch.frames[-1], trajectories)
+            self._send(self._overlay, conversions.image_from_colours(pixels, header))
+
+    def _send(self, publisher, message):
+        try:
+            publisher.publish(message)
+        except (RCLError, InvalidHandle):
+            # An interrupt may take the middleware away while the search goes on.
+            if self.context.ok():
+                raise
+
+    def _clear_markers(self) -> None:
+        with self._lock:
+            ended, self._shown = sorted(self._shown), set()
+            header = self._last_header
+        if ended:
+            self._send(self._markers,
+                       conversions.markers_from_trajectories([], header, 0.0, ended))
+
+    def _state_changed(self) -> None:
+        status = self._worker.status
+        last_state, last_s = self._logged_state
+        now_s = time.monotonic()
+        if status.state == last_state and now_s - last_s < PROGRESS_PERIOD_S:
+            return
+        self._logged_state = (status.state, now_s)
+        if status.state == 'failed':
+            self.get_logger().error(f'{status.state}: {status.detail}')
+        else:
+            self.get_logger().info(f'{status.state}: {status.detail}')
+        self._publish_diagnostics()
+
+    def _warn(self, kind: str, text: str) -> None:
+        """Log a warning, of each kind at most one in a few seconds."""
+        now_s = time.monotonic()
+        with self._lock:
+            self._last_warning, self._last_warning_s = text, now_s
+            if now_s - self._warned_at.get(kind, -math.inf) < WARNING_PERIOD_S:
+                return
+            self._warned_at[kind] = now_s
+        self.get_logger().warning(text)
+
+    def _publish_diagnostics(self) -> None:
+        status, counters = copy(self._worker.status), copy(self._worker.counters)
+        recently = time.monotonic() - self._last_warning_s < WARNING_PERIOD_S
+        level = DiagnosticStatus.OK
+        if status.state == 'failed':
+            level = DiagnosticStatus.ERROR
+        elif recently:
+            level = DiagnosticStatus.WARN
+        values: dict[str, Any] = {
+            'state': status.state,
+            'detail': status.detail,
+            'frame_size': '' if status.shape is None else f'{status.shape[0]} x {status.shape[1]}',
+            'threshold': f'{status.threshold:.4f}',
+            'processing_time_ms': f'{1e3 * status.processing_s:.1f}',
+            'longest_processing_time_ms': f'{1e3 * status.longest_processing_s:.1f}',
+            'latency_ms': f'{1e3 * status.latency_s:.1f}',
+            'frames_received': counters.received,
+            'frames_used': counters.used,
+            'frames_waiting': self._worker.queue_size(),
+            'frames_dropped': counters.dropped,
+            'frames_refused': counters.refused,
+            'messages_lost': self._n_lost,
+            'incompatible_publishers': self._n_incompatible,
+            'window_restarts': counters.restarts,
+            'batches': counters.batches,
+            'trajectories': counters.trajectories,
+            'failures': counters.failures,
+            'last_warning': self._last_warning,
+        }
+        message = f'{status.state}: {status.detail}' if status.detail else status.state
+        message = self._last_warning if level == DiagnosticStatus.WARN else message
+        name = self.get_fully_qualified_name().lstrip('/')
+        self._send(self._diagnostics, DiagnosticArray(
+            header=Header(stamp=self.get_clock().now().to_msg()),
+            status=[DiagnosticStatus(
+                level=level, name=name, message=message, hardware_id='',
+                values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])]))
+
+
+def _options(values):
+    """Return the options of the detector, nothing left automatic that cuts the stream."""
+    length = values['batch_length'] or DEFAULT_BATCH_LENGTH
+    return options_from_parameters(PARAMETERS, {
+        **values, 'batch_length': length, 'hop': values['hop'] or max(1, length // 2)})
+
+
+def _settings(values):
+    """Return how to cut and buffer the stream."""
+    options = _options(values)
+    length = options.batch_length
+    return StreamSettings(
+        batch_length=length, hop=options.hop, max_gap_s=values['max_gap_s'] or None,
+        queue_length=values['queue_length'] or 3 * length,
+        flush_after_s=values['flush_after_s'] or None)
+
+
+def _spin(node):
+    try:
+        rclpy.spin(node)
+    finally:
+        if not node.stop():
+            # A compilation cannot be interrupted, and leaving Python under it would crash.
+            sys.stderr.flush()
+            os._exit(0)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    return run('detector', DetectorNode, _spin, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

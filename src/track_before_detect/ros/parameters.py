@@ -1,0 +1,288 @@
+"""Parameters of the nodes: declared from one table, checked with one sentence, never ignored.
+
+rclpy drops overrides of undeclared parameters without a word, refuses ``1`` where ``1.0`` is
+expected and answers out-of-range values tersely. :class:`ParameterizedNode` checks overrides and
+later changes itself before rclpy sees them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+import difflib
+import math
+from typing import Any
+
+import numpy as np
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ParameterDescriptor,
+    SetParametersResult,
+)
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos_overriding_options import InvalidQosOverridesError
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.options import describe, DetectorOptions
+
+INT32_MAX = 2**31 - 1
+FLOAT_MAX = 1e308
+NEUTRAL = {'number': 0.0, 'integer': 0, 'text': '', 'numbers': []}
+
+
+@dataclass(frozen=True)
+class NodeParameter:
+    """One parameter of a node.
+
+    Attributes
+    ----------
+    name, default, description, unit
+        What a user sees.
+    kind : {'number', 'integer', 'numbers', 'text', 'boolean'}
+        Decides the ROS type.
+    minimum, maximum, above : float, optional
+        Inclusive bounds, and an exclusive lower one.
+    choices : tuple of str
+        Allowed texts; empty when any text will do.
+    live : bool
+        Whether a change takes effect while the node runs; otherwise it is refused.
+    is_option : bool
+        Whether this is an option of the detector, which :class:`DetectorOptions` checks.
+    optional : bool
+        Whether the neutral value (0, empty text, empty list) stands for automatic.
+    """
+
+    name: str
+    default: Any
+    description: str
+    kind: str
+    unit: str = ''
+    minimum: float | None = None
+    maximum: float | None = None
+    above: float | None = None
+    choices: tuple[str, ...] = ()
+    live: bool = False
+    is_option: bool = False
+    optional: bool = False
+
+    def check(self, value: Any) -> Any:
+        """Return ``value`` in its ROS type, or raise ParameterError."""
+        if self.is_option:
+            if self.optional and _is_neutral(value):
+                return NEUTRAL[self.kind]
+            value = getattr(DetectorOptions(**{self.name: value}), self.name)
+            return list(value) if self.kind == 'numbers' else value
+        if self.kind == 'boolean':
+            if not isinstance(value, bool):
+                raise ParameterError(f'{self.name} must be true or false, got {value!r}')
+            return value
+        if self.kind == 'text':
+            return self._check_text(value)
+        return self._check_number(value)
+
+    def _check_text(self, value):
+        if not isinstance(value, str):
+            raise ParameterError(f'{self.name} must be text, got {value!r}')
+        if self.choices and value not in self.choices:
+            raise ParameterError(
+                f'{self.name} must be one of {", ".join(self.choices)}, got {value!r}')
+        return value
+
+    def _check_number(self, value):
+        kind = int if self.kind == 'integer' else float
+        what = 'a whole number' if kind is int else 'a number'
+        numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not numeric or not math.isfinite(value) or (kind is int and value != int(value)):
+            raise ParameterError(f'{self.name} must be {what}, got {value!r}')
+        unit = f' {self.unit}' if self.unit else ''
+        if self.above is not None and not value > self.above:
+            raise ParameterError(f'{self.name} must be above {self.above:g}{unit}, got {value:g}')
+        if self.minimum is not None and value < self.minimum:
+            raise ParameterError(
+                f'{self.name} must be at least {self.minimum:g}{unit}, got {value:g}')
+        if self.maximum is not None and value > self.maximum:
+            raise ParameterError(
+                f'{self.name} must be at most {self.maximum:g}{unit}, got {value:g}')
+        return kind(value)
+
+    def descriptor(self) -> ParameterDescriptor:
+        """Return the descriptor: meaning, unit, range and choices."""
+        unit = f' [{self.unit}]' if self.unit else ''
+        constraints = []
+        if self.choices:
+            constraints.append('one of ' + ', '.join(self.choices))
+        if self.above is not None:
+            constraints.append(f'above {self.above:g}')
+        if self.optional:
+            neutral = {'text': 'empty', 'numbers': 'an empty list'}.get(self.kind, '0')
+            constraints.append(f'{neutral} means automatic')
+        descriptor = ParameterDescriptor(
+            description=self.description + unit, read_only=not self.live,
+            additional_constraints='; '.join(constraints))
+        if self.kind in ('number', 'integer') and not self._unbounded():
+            lowest = self.minimum if self.minimum is not None else self.above
+            lowest = 0.0 if self.optional else lowest
+            if self.kind == 'integer':
+                lowest = -INT32_MAX if lowest is None else lowest
+                highest = INT32_MAX if self.maximum is None else self.maximum
+                descriptor.integer_range = [
+                    IntegerRange(from_value=int(lowest), to_value=int(highest), step=0)]
+            else:
+                lowest = -FLOAT_MAX if lowest is None else lowest
+                highest = FLOAT_MAX if self.maximum is None else self.maximum
+                descriptor.floating_point_range = [FloatingPointRange(
+                    from_value=float(lowest), to_value=float(highest), step=0.0)]
+        return descriptor
+
+    def _unbounded(self):
+        return self.minimum is None and self.maximum is None and self.above is None
+
+
+def option_parameters(defaults: Mapping[str, Any]) -> list[NodeParameter]:
+    """Return a live parameter for every option of the detector.
+
+    Parameters
+    ----------
+    defaults : mapping
+        Defaults that differ from those of :class:`DetectorOptions`.
+    """
+    parameters = []
+    for entry in describe():
+        default = defaults.get(entry['name'], entry['default'])
+        if default is None:
+            default = NEUTRAL[entry['kind']]
+        if entry['kind'] == 'numbers':
+            default = list(default)
+        parameters.append(NodeParameter(
+            name=entry['name'], default=default, description=entry['description'],
+            kind=entry['kind'], unit=entry['unit'], minimum=entry['minimum'],
+            maximum=entry['maximum'], above=entry['above'], choices=entry['choices'] or (),
+            live=True, is_option=True, optional=entry['optional']))
+    return parameters
+
+
+def options_from_parameters(
+        parameters: Iterable[NodeParameter], values: Mapping[str, Any]) -> DetectorOptions:
+    """Make the options of a detector from the values of a node's parameters."""
+    options = {}
+    for parameter in parameters:
+        if parameter.is_option:
+            value = values[parameter.name]
+            automatic = parameter.optional and _is_neutral(value)
+            options[parameter.name] = None if automatic else value
+    return DetectorOptions.from_mapping(options)
+
+
+class ParameterizedNode(Node):
+    """Node whose parameters are declared from a table.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    parameters : list of NodeParameter
+        What is declared.
+
+    Raises
+    ------
+    ParameterError
+        When a value given at start cannot be used.
+    """
+
+    def __init__(self, name: str, parameters: list[NodeParameter]):
+        super().__init__(name)
+        self._table = {parameter.name: parameter for parameter in parameters}
+        values = {}
+        for parameter in parameters:
+            override = self._parameter_overrides.get(parameter.name)
+            given = parameter.default if override is None else _plain(override.value)
+            values[parameter.name] = parameter.check(given)
+        self.check_values(values)
+        for parameter in parameters:
+            # The override was checked above and may have been turned from 1 to 1.0.
+            self.declare_parameter(
+                parameter.name, values[parameter.name], parameter.descriptor(),
+                ignore_override=True)
+
+    def values(self) -> dict[str, Any]:
+        """Return the value of every parameter of the table."""
+        return {name: _plain(self.get_parameter(name).value) for name in self._table}
+
+    def check_values(self, values: Mapping[str, Any]) -> None:
+        """Raise ParameterError when values do not go together."""
+
+    def on_change(self, names: list[str]) -> None:
+        """Act on parameters that were changed while the node runs."""
+
+    def refuse_unknown_parameters(self) -> None:
+        """Raise ParameterError when a value was given for a parameter that does not exist.
+
+        Called once everything is declared, also what rclpy declares for quality of service.
+        """
+        for name in self._parameter_overrides:
+            if not self.has_parameter(name):
+                raise ParameterError(self._unknown(name))
+
+    @contextmanager
+    def overridable_qos(self) -> Iterator[None]:
+        """Turn what rclpy raises for a bad override of quality of service to ParameterError."""
+        try:
+            yield
+        except (InvalidQosOverridesError, RuntimeError) as error:
+            raise ParameterError(str(error)) from error
+
+    def set_parameters(self, parameter_list):
+        """Set parameters one by one; see :meth:`set_parameters_atomically`."""
+        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+
+    def set_parameters_atomically(self, parameter_list):
+        """Set parameters, refusing what cannot be used with a sentence that says why."""
+        try:
+            checked = self._checked_changes(parameter_list)
+        except ParameterError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        result = super().set_parameters_atomically(checked)
+        changed = [parameter.name for parameter in checked if parameter.name in self._table]
+        if result.successful and changed:
+            self.on_change(changed)
+        return result
+
+    def _checked_changes(self, parameter_list):
+        values = self.values()
+        checked = []
+        for parameter in parameter_list:
+            if not self.has_parameter(parameter.name):
+                raise ParameterError(self._unknown(parameter.name))
+            known = self._table.get(parameter.name)
+            if known is None:
+                checked.append(parameter)
+                continue
+            if not known.live:
+                raise ParameterError(
+                    f'{parameter.name} cannot be changed while the node runs; '
+                    'give it when the node is started')
+            values[parameter.name] = known.check(_plain(parameter.value))
+            checked.append(Parameter(parameter.name, value=values[parameter.name]))
+        self.check_values(values)
+        return checked
+
+    def _unknown(self, name):
+        close = difflib.get_close_matches(name, self._table, n=1)
+        hint = f'; did you mean {close[0]}?' if close else f'; known: {", ".join(self._table)}'
+        return f'unknown parameter {name!r}{hint}'
+
+
+def _is_neutral(value):
+    if isinstance(value, (bool, np.bool_)):
+        return False
+    if isinstance(value, (str, list, tuple)):
+        return not len(value)
+    return value == 0
+
+
+def _plain(value):
+    """Return arrays of rclpy as lists."""
+    return value if isinstance(value, (str, bool, int, float)) or value is None else list(value)

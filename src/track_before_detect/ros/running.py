@@ -1,0 +1,66 @@
+"""Start a node, spin it, and leave without a traceback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+import signal
+import sys
+
+import rclpy
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.utilities import try_shutdown
+
+from track_before_detect.errors import TbdError
+
+EXIT_DONE = 0
+EXIT_BAD_INPUT = 2
+
+
+def run(name: str, make_node: Callable[[], Node], spin: Callable[[Node], None],
+        args: list[str] | None = None) -> int:
+    """Run a node until it is done or interrupted.
+
+    Parameters
+    ----------
+    name : str
+        For the sentence on stderr when it cannot start.
+    make_node : callable
+        Returns the node; raises TbdError when a parameter or an input cannot be used.
+    spin : callable
+        Takes the node and returns when it is done.
+    args : list of str, optional
+        Command line; that of the process by default.
+
+    Returns
+    -------
+    int
+        0 when done or interrupted, 2 when a parameter or an input cannot be used.
+    """
+    node = None
+    try:
+        _init(args)
+        node = make_node()
+        spin(node)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    except (TbdError, ParameterException) as error:
+        print(f'{name}: error: {error}', file=sys.stderr)
+        return EXIT_BAD_INPUT
+    finally:
+        # Under ros2 launch the interrupt arrives twice; the second one must not cut this short.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        if node is not None:
+            node.destroy_node()
+        try_shutdown()
+    return EXIT_DONE
+
+
+def _init(args):
+    try:
+        rclpy.init(args=args)
+    except RuntimeError as error:
+        # What follows names lines of the source of rcl.
+        reason = str(error).splitlines()[0].split(', at /')[0]
+        raise TbdError(f'the ROS arguments cannot be used: {reason}') from error

@@ -1,0 +1,179 @@
+"""Cut a stream of frames into overlapping batches, and mind its gaps, jumps and repeats."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.types import FrameBatch
+
+
+class Outcome(Enum):
+    """What became of a frame."""
+
+    ACCEPTED = 'accepted'
+    REFUSED = 'refused'
+    GAP = 'gap'
+    JUMP_BACK = 'jump_back'
+    SIZE_CHANGE = 'size_change'
+
+
+@dataclass(frozen=True)
+class Intake:
+    """Answer of :meth:`SlidingWindow.add`.
+
+    Attributes
+    ----------
+    outcome : Outcome
+        ``REFUSED`` leaves the window as it was; ``GAP``, ``JUMP_BACK`` and ``SIZE_CHANGE`` start
+        it again with this frame.
+    batch : FrameBatch or None
+        Frames to search now. When the window was started again these are the frames before
+        that which no batch had contained, together with as many older ones as fit.
+    reason : str
+        What was expected and what was found; empty for an accepted frame.
+    """
+
+    outcome: Outcome
+    batch: FrameBatch | None = None
+    reason: str = ''
+
+
+class SlidingWindow:
+    """Hold the newest frames and release them as a batch every ``hop`` frames.
+
+    Parameters
+    ----------
+    length : int
+        Frames in a batch; no more are ever held.
+    hop : int
+        New frames from one batch to the next, at most ``length``.
+    max_gap_s : float, optional
+        Longest pause between two frames of a batch, in seconds. Automatic is the duration of
+        ``length`` median intervals.
+    """
+
+    def __init__(self, length: int, hop: int, max_gap_s: float | None = None):
+        if length < 1:
+            raise ParameterError(f'the length of a window must be at least 1 frame, got {length}')
+        if not 1 <= hop <= length:
+            raise ParameterError(
+                f'hop must be from 1 to the length of the window ({length}), got {hop}')
+        if max_gap_s is not None and not max_gap_s > 0.0:
+            raise ParameterError(f'max_gap_s must be above 0 s, got {max_gap_s:g}')
+        self.length = length
+        self.hop = hop
+        self.max_gap_s = max_gap_s
+        self._frames: deque[NDArray] = deque(maxlen=length)
+        self._stamps: deque[float] = deque(maxlen=length)
+        self._indices: deque[int] = deque(maxlen=length)
+        self._intervals: deque[float] = deque(maxlen=max(length, 20))
+        self._n_new = 0
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    @property
+    def n_new(self) -> int:
+        """Number of held frames that no batch has contained."""
+        return min(self._n_new, len(self._frames))
+
+    @property
+    def shape(self) -> tuple[int, int] | None:
+        """Height and width of the held frames, None while there is none."""
+        return self._frames[-1].shape if self._frames else None
+
+    @property
+    def median_interval_s(self) -> float | None:
+        """Median time between recent frames in seconds, None before the second one."""
+        return float(np.median(self._intervals)) if self._intervals else None
+
+    def add(self, pixels: NDArray, stamp_s: float, frame_index: int) -> Intake:
+        """Take one frame.
+
+        Parameters
+        ----------
+        pixels : array, shape (H, W)
+            Kept as it is, not copied.
+        stamp_s : float
+            Time in seconds. A stamp that repeats, or that lies between the oldest and the newest
+            held one, is refused; an earlier one starts the window again (a looped recording).
+        frame_index : int
+            Number of the frame in its stream, larger than that of the frame before.
+        """
+        if not self._frames:
+            return self._accept(Outcome.ACCEPTED, pixels, stamp_s, frame_index)
+        newest, oldest = self._stamps[-1], self._stamps[0]
+        if stamp_s == newest:
+            return Intake(Outcome.REFUSED, reason=(
+                f'expected a stamp after {newest:.6f} s, found the same one again '
+                '(is header.stamp filled in?)'))
+        if pixels.shape != self.shape:
+            reason = f'expected frames of {_size(self.shape)}, found {_size(pixels.shape)}'
+            return self._restart(Outcome.SIZE_CHANGE, reason, pixels, stamp_s, frame_index)
+        if stamp_s < newest:
+            if stamp_s > oldest:
+                return Intake(Outcome.REFUSED, reason=(
+                    f'expected a stamp after {newest:.6f} s, found one '
+                    f'{newest - stamp_s:.6f} s earlier'))
+            reason = (f'expected a stamp after {newest:.6f} s, found a jump back by '
+                      f'{newest - stamp_s:.6f} s')
+            return self._restart(Outcome.JUMP_BACK, reason, pixels, stamp_s, frame_index)
+        longest = self._longest_gap()
+        if longest is not None and stamp_s - newest > longest:
+            reason = (f'expected a frame within {longest:.6g} s, found a gap of '
+                      f'{stamp_s - newest:.6g} s')
+            return self._restart(Outcome.GAP, reason, pixels, stamp_s, frame_index)
+        return self._accept(Outcome.ACCEPTED, pixels, stamp_s, frame_index)
+
+    def flush(self) -> FrameBatch | None:
+        """Return the held frames if some were in no batch yet, else None; they stay held."""
+        return self._release() if self._n_new else None
+
+    def clear(self) -> None:
+        """Forget every frame."""
+        self._frames.clear()
+        self._stamps.clear()
+        self._indices.clear()
+        self._intervals.clear()
+        self._n_new = 0
+
+    def _longest_gap(self):
+        if self.max_gap_s is not None:
+            return self.max_gap_s
+        # A single interval may itself be the gap.
+        if len(self._intervals) < 2:
+            return None
+        return self.length * float(np.median(self._intervals))
+
+    def _restart(self, outcome, reason, pixels, stamp_s, frame_index):
+        tail = self.flush()
+        self.clear()
+        first = self._accept(outcome, pixels, stamp_s, frame_index).batch
+        # Only a window of one frame has a batch due at once; it never leaves a tail.
+        return Intake(outcome, tail if first is None else first, reason)
+
+    def _accept(self, outcome, pixels, stamp_s, frame_index):
+        if self._stamps:
+            self._intervals.append(stamp_s - self._stamps[-1])
+        self._frames.append(pixels)
+        self._stamps.append(float(stamp_s))
+        self._indices.append(int(frame_index))
+        self._n_new += 1
+        due = len(self._frames) == self.length and self._n_new >= self.hop
+        return Intake(outcome, self._release() if due else None)
+
+    def _release(self):
+        self._n_new = 0
+        return FrameBatch(np.stack(list(self._frames)), np.array(self._stamps),
+                          np.array(self._indices, np.int64))
+
+
+def _size(shape):
+    height, width = shape
+    return f'{height} x {width} (height x width)'
