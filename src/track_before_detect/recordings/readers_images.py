@@ -181,7 +181,8 @@ def open_fits(path: Path) -> Recording:
     if path.stat().st_size == 0:
         raise DataError(f'{path} is empty')
     try:
-        units = fits.open(path, memmap=True)
+        # Sections are read from the file by themselves; scaled ones could not be mapped.
+        units = fits.open(path, memmap=False)
     except _READ_ERRORS as error:
         raise DataError(f'{path} is not a FITS file: {error}') from error
     try:

@@ -44,6 +44,14 @@ def _open_archive(path, archive):
         raise
     except _READ_ERRORS as error:
         raise DataError(f"array 'frames' of {path} cannot be read: {error}") from error
+    try:
+        return _recording(path, archive, names, source)
+    except BaseException:
+        source.close()
+        raise
+
+
+def _recording(path, archive, names, source):
     n_frames, height, width = source.shape
     stamps = None
     if 'stamps' in names:
@@ -73,7 +81,15 @@ class _NpzSource:
         self._path = path
         self._archive = archive
         self._member = archive.open('frames.npy')
+        try:
+            self._read_layout()
+        except BaseException:
+            self._member.close()
+            raise
+
+    def _read_layout(self):
         self.shape, fortran_order, self.dtype = _read_header(self._member)
+        path = self._path
         if self.dtype.hasobject or self.dtype.kind not in 'iufc':
             raise DataError(
                 f"array 'frames' of {path} must be numbers (T, H, W), got type {self.dtype}")
@@ -85,7 +101,7 @@ class _NpzSource:
         self._whole = None
         if fortran_order:
             # Here a frame is scattered over the whole file.
-            self._whole = _small_array(path, archive, 'frames')
+            self._whole = _small_array(path, self._archive, 'frames')
 
     def read(self, index: int) -> NDArray:
         if self._whole is not None:
