@@ -1,0 +1,171 @@
+from pathlib import Path
+import tempfile
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from track_before_detect.errors import DataError
+from track_before_detect.recordings.readers import open_recording
+
+pytest.importorskip('rosbags')
+from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: E402
+from rosbags.typesys import get_typestore, Stores  # noqa: E402
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+TYPES = STORE.types
+IMAGE = 'sensor_msgs/msg/Image'
+ARRAY = 'std_msgs/msg/Float32MultiArray'
+STORAGES = [StoragePlugin.SQLITE3, StoragePlugin.MCAP]
+FRAMES = np.random.default_rng(3).integers(0, 65535, (6, 5, 4)).astype(np.uint16)
+
+
+def image(frame, stamp_ns, encoding='mono16', big=False, padding=0, frame_id='camera'):
+    rows = frame.astype(frame.dtype.newbyteorder('>' if big else '<')).view(np.uint8)
+    rows = np.pad(rows.reshape(len(frame), -1), ((0, 0), (0, padding)))
+    header = TYPES['std_msgs/msg/Header'](
+        TYPES['builtin_interfaces/msg/Time'](*divmod(stamp_ns, 10**9)), frame_id)
+    return TYPES[IMAGE](header, frame.shape[0], frame.shape[1], encoding, int(big),
+                        rows.shape[1], rows.ravel())
+
+
+def multiarray(frame):
+    dimension = TYPES['std_msgs/msg/MultiArrayDimension']
+    layout = TYPES['std_msgs/msg/MultiArrayLayout'](
+        [dimension('rows', frame.shape[0], frame.size),
+         dimension('columns', frame.shape[1], frame.shape[1])], 0)
+    return TYPES[ARRAY](layout, frame.astype(np.float32).ravel())
+
+
+def write_bag(path, topics, storage=StoragePlugin.SQLITE3):
+    """Write {topic: (type, [(receive time in ns, message), ...])}."""
+    with Writer(path, version=9, storage_plugin=storage) as writer:
+        for topic, (kind, messages) in topics.items():
+            connection = writer.add_connection(topic, kind, typestore=STORE)
+            for time, message in messages:
+                writer.write(connection, time, STORE.serialize_cdr(message, kind))
+
+
+def images(frames, **kwargs):
+    return [(7_000_000_000 + 10**8 * k, image(frame, 10**9 + 4 * 10**7 * k, **kwargs))
+            for k, frame in enumerate(frames)]
+
+
+def all_frames(recording):
+    return np.stack([recording[k] for k in range(len(recording))])
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+@pytest.mark.parametrize('single_file', [False, True])
+def test_image_bag_gives_back_its_frames(tmp_path, storage, single_file):
+    path = tmp_path / 'bag'
+    write_bag(path, {'/image': (IMAGE, images(FRAMES, big=True, padding=3))}, storage)
+    opened = next(path.glob('*.[dm][bc]*')) if single_file else path
+    with open_recording(opened) as recording:
+        assert recording.dtype == np.uint16 and recording.frame_id == 'camera'
+        np.testing.assert_array_equal(all_frames(recording), FRAMES)
+        np.testing.assert_allclose(recording.stamps, 1 + 0.04 * np.arange(6), rtol=0, atol=1e-9)
+        assert recording.stamps_known
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.lists(st.integers(0, 5), max_size=12), st.sampled_from(STORAGES), st.integers(1, 3))
+def test_frames_may_be_read_in_any_order(order, storage, per_time):
+    messages = [(10**9 * (k // per_time), message)
+                for k, (_, message) in enumerate(images(FRAMES))]
+    with tempfile.TemporaryDirectory() as folder:
+        write_bag(Path(folder) / 'bag', {'/image': (IMAGE, messages)}, storage)
+        with open_recording(Path(folder) / 'bag') as recording:
+            for k in order:
+                recording._cache.clear()
+                np.testing.assert_array_equal(recording[k], FRAMES[k])
+
+
+@pytest.mark.parametrize('storage', STORAGES)
+def test_multiarray_bag_has_stamps_of_receipt(tmp_path, storage):
+    frames = np.random.default_rng(1).normal(size=(4, 3, 5)).astype(np.float32)
+    messages = [(10**9 + 5 * 10**8 * k, multiarray(frame)) for k, frame in enumerate(frames)]
+    write_bag(tmp_path / 'bag', {'/frame': (ARRAY, messages)}, storage)
+    with open_recording(tmp_path / 'bag') as recording:
+        assert recording.dtype == np.float32 and recording.frame_id == ''
+        np.testing.assert_array_equal(all_frames(recording), frames)
+        np.testing.assert_allclose(recording.stamps, [1, 1.5, 2, 2.5])
+
+
+def test_images_without_header_stamps_have_those_of_receipt(tmp_path):
+    messages = [(10**9 * (k + 1), image(frame, 0)) for k, frame in enumerate(FRAMES)]
+    write_bag(tmp_path / 'bag', {'/image': (IMAGE, messages)})
+    with open_recording(tmp_path / 'bag') as recording:
+        np.testing.assert_allclose(recording.stamps, np.arange(1, 7))
+
+
+def test_topic_is_chosen_by_name_or_because_it_is_the_only_one(tmp_path):
+    text = [(1, TYPES['std_msgs/msg/String']('hello'))]
+    write_bag(tmp_path / 'one', {'/image': (IMAGE, images(FRAMES)),
+                                 '/chat': ('std_msgs/msg/String', text), '/empty': (IMAGE, [])})
+    write_bag(tmp_path / 'two', {'/left': (IMAGE, images(FRAMES)),
+                                 '/right': (IMAGE, images(FRAMES[:3]))})
+    with open_recording(tmp_path / 'one') as recording:
+        assert len(recording) == 6
+    with open_recording(tmp_path / 'two', topic='right') as recording:
+        assert len(recording) == 3
+    for name, topic, message in [
+            ('two', None, 'must be named; found: /left, /right'),
+            ('two', '/up', 'no topic /up; suitable topics: /left, /right'),
+            ('one', '/chat', 'got std_msgs/msg/String; suitable topics: /image'),
+            ('one', '/empty', 'has no messages')]:
+        with pytest.raises(DataError, match=message):
+            open_recording(tmp_path / name, topic)
+
+
+@pytest.mark.parametrize(
+    ('messages', 'message'),
+    [([(1, image(FRAMES[0], 1, encoding='yuv422'))], "message 0 .*'yuv422'"),
+     ([(1, image(FRAMES[0], 5)), (2, image(FRAMES[1], 5))], 'strictly increasing'),
+     ([(1, image(FRAMES[0], 1)), (2, image(FRAMES[1].T.copy(), 2))], 'must be like the first'),
+     ([], 'found: none')],
+    ids=['encoding', 'stamps', 'size change', 'no messages'])
+def test_bad_messages_are_refused(tmp_path, messages, message):
+    write_bag(tmp_path / 'bag', {'/image': (IMAGE, messages)})
+    with pytest.raises(DataError, match=message):
+        with open_recording(tmp_path / 'bag') as recording:
+            all_frames(recording)
+
+
+@pytest.mark.filterwarnings('ignore')
+@pytest.mark.parametrize('storage', STORAGES)
+def test_truncated_bag_is_refused(tmp_path, storage):
+    path = tmp_path / 'bag'
+    frames = np.random.default_rng(3).integers(0, 65535, (6, 50, 40)).astype(np.uint16)
+    write_bag(path, {'/image': (IMAGE, images(frames))}, storage)
+    file = next(path.glob('*.[dm][bc]*'))
+    data = file.read_bytes()
+    for length in (0, 20, len(data) // 2):
+        file.write_bytes(data[:length])
+        for opened in (file, path):
+            with pytest.raises(DataError, match='bag') as caught:
+                with open_recording(opened) as recording:
+                    all_frames(recording)
+            assert '\n' not in str(caught.value)
+
+
+def test_folder_without_metadata_is_read_through_its_only_file(tmp_path):
+    path = tmp_path / 'bag'
+    write_bag(path, {'/image': (IMAGE, images(FRAMES))}, StoragePlugin.MCAP)
+    (path / 'metadata.yaml').unlink()
+    with open_recording(path) as recording:
+        assert len(recording) == 6
+    (path / 'second.mcap').write_bytes(next(path.glob('*.mcap')).read_bytes())
+    with pytest.raises(DataError, match='no metadata.yaml and 2 storage files'):
+        open_recording(path)
+
+
+def test_damaged_metadata_is_refused(tmp_path):
+    path = tmp_path / 'bag'
+    write_bag(path, {'/image': (IMAGE, images(FRAMES))})
+    for text in ('', 'rosbag2_bagfile_information: 3', '{', 'a: b'):
+        (path / 'metadata.yaml').write_text(text)
+        with pytest.raises(DataError, match='cannot be opened') as caught:
+            open_recording(path)
+        assert '\n' not in str(caught.value)
