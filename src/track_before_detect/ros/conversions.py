@@ -31,9 +31,11 @@ from track_before_detect.types import Trajectory
 
 ENCODING_OF_DTYPE = {'uint8': 'mono8', 'uint16': 'mono16', 'float32': '32FC1', 'float64': '64FC1'}
 
-POINT_DTYPE = np.dtype([
-    ('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('id', '<i4'), ('t', '<f8'), ('vx', '<f4'),
-    ('vy', '<f4'), ('amplitude', '<f4'), ('snr', '<f4')])
+# The double lies at a multiple of its size.
+POINT_DTYPE = np.dtype({
+    'names': ['x', 'y', 'z', 't', 'id', 'vx', 'vy', 'amplitude', 'snr'],
+    'formats': ['<f4', '<f4', '<f4', '<f8', '<i4', '<f4', '<f4', '<f4', '<f4'],
+    'offsets': [0, 4, 8, 16, 12, 24, 28, 32, 36], 'itemsize': 40})
 _POINT_FIELD_TYPES = {
     'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'i4': PointField.INT32}
 
@@ -153,16 +155,18 @@ def path_from_positions(positions: NDArray, stamps_s: Iterable[float], header: H
 def points_from_trajectories(trajectories: Iterable[Trajectory], header: Header) -> PointCloud2:
     """Return one point per trajectory and frame it is present in.
 
-    Fields: x and y in pixels, z = 0, id, t in seconds since the epoch of the stamps (float64), vx
+    Fields: x and y in pixels, z = 0, t in seconds since the epoch of the stamps (float64), id, vx
     and vy in pixels per second, amplitude (the magnitude), snr (of the whole trajectory).
     """
     rows = [
-        (*position, 0.0, trajectory.id, trajectory.stamps[row], *trajectory.velocity[row],
+        (*position, 0.0, trajectory.stamps[row], trajectory.id, *trajectory.velocity[row],
          abs(trajectory.amplitudes[row]), trajectory.snr)
         for trajectory in trajectories for row, position in _present(trajectory)]
     points = np.array(rows, POINT_DTYPE)
     fields = []
-    for name, (kind, offset, *_) in (POINT_DTYPE.fields or {}).items():
+    offsets = POINT_DTYPE.fields or {}
+    for name in POINT_DTYPE.names or ():
+        kind, offset = offsets[name][:2]
         fields.append(PointField(name=name, offset=offset, count=1,
                                  datatype=_POINT_FIELD_TYPES[kind.str[1:]]))
     message = PointCloud2(
