@@ -201,8 +201,7 @@ prepare_environment() {
     else
         mode=wheels
         # Packages of another ROS distribution must not mix with the wheels.
-        unset PYTHONPATH ROS_DISTRO
-        export AMENT_PREFIX_PATH=$venv
+        unset PYTHONPATH ROS_DISTRO AMENT_PREFIX_PATH
     fi
 }
 
@@ -374,6 +373,10 @@ main() {
         build)
             setup
             cd -- "$package_dir"
+            if [[ $package_dir == *[[:space:]]* ]]; then
+                fail "colcon's scripts do not work in a folder whose path holds spaces:" \
+                    "$package_dir"
+            fi
             # Found as a module, colcon gives the executables this environment's Python, wherever
             # colcon itself was installed.
             exec "$venv_python" -c 'import sys; from colcon_core.command import main; sys.exit(main())' \

@@ -34,7 +34,7 @@ def free_domain_id() -> int:
 
 def _used_udp_ports() -> set[int]:
     """Return the UDP ports that some process of this machine has bound."""
-    ports = set()
+    ports: set[int] = set()
     for table in ('/proc/net/udp', '/proc/net/udp6'):
         try:
             rows = Path(table).read_text(encoding='ascii').splitlines()[1:]

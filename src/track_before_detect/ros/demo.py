@@ -1,0 +1,529 @@
+"""Play a recording to the detector over DDS and show what it finds.
+
+``frame_publisher`` and ``detector`` run as two processes; this one listens to what they publish.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+import json
+import os
+from pathlib import Path as FilePath
+import signal
+import sys
+import time
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from nav_msgs.msg import Path
+import numpy as np
+from numpy.typing import NDArray
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import PointCloud2
+
+from track_before_detect.errors import ParameterError, TbdError
+from track_before_detect.options import DetectorOptions, parse_option
+from track_before_detect.recordings.overlay import write_overlay
+from track_before_detect.recordings.readers import open_recording
+from track_before_detect.recordings.recording import Recording
+from track_before_detect.recordings.writers import write_npz_recording, write_trajectories_csv
+from track_before_detect.ros.child_process import ChildProcess
+from track_before_detect.ros.conversions import points_to_array, seconds_from_time
+from track_before_detect.ros.domain import free_domain_id
+from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.types import Trajectory
+
+FOUND, FAILED, BAD_INPUT, NOTHING_FOUND, INTERRUPTED = 0, 1, 2, 3, 130
+
+SCENARIO = 'eo_ir_drones'
+SEED = 1
+SLOWEST_HZ, FASTEST_HZ, AUTOMATIC_HZ = 10.0, 100.0, 25.0
+QUEUE_BYTES = 2**30
+# Playing goes at its own pace, so the time after which the last frames are searched is given in
+# seconds here and not in intervals of the recording.
+FLUSH_AFTER_S = 1.0
+SILENCE_TIMEOUT_S = 60.0
+RESULT_TIMEOUT_S = 300.0
+NEAR_PX = 3.0
+
+
+class DemoError(Exception):
+    """The demo cannot go on; holds the exit code too."""
+
+    def __init__(self, message: str, code: int = FAILED):
+        super().__init__(message)
+        self.code = code
+
+
+@dataclass
+class Heard:
+    """What the demo has received over DDS.
+
+    Attributes
+    ----------
+    points : dict
+        Trajectory id to (stamp in seconds to point); a later batch replaces an earlier one.
+    truth : list of array, shape (n, 3)
+        One per true target, rows [stamp in seconds, x, y].
+    diagnostics : dict
+        Last key-value pairs of the detector.
+    last_diagnostics_s : float
+        Monotonic time of these.
+    searched_until_s : float
+        Stamp of the newest frame of the batches searched so far.
+    """
+
+    points: dict[int, dict[float, Any]] = field(default_factory=dict)
+    truth: list[NDArray[np.float64]] = field(default_factory=list)
+    diagnostics: dict[str, str] = field(default_factory=dict)
+    last_diagnostics_s: float = field(default_factory=time.monotonic)
+    searched_until_s: float = -np.inf
+
+    def count(self, key: str) -> int:
+        """Return a counter of the diagnostics."""
+        return int(self.diagnostics.get(key, '0'))
+
+    @property
+    def state(self) -> str:
+        """State of the detector and its details."""
+        if not self.diagnostics:
+            return 'starting'
+        return f'{self.diagnostics["state"]} {self.diagnostics["detail"]}'.strip()
+
+
+class Listener(Node):
+    """Collects what the two nodes publish."""
+
+    def __init__(self, heard: Heard):
+        super().__init__('demo')
+        self._heard = heard
+        kept = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.RELIABLE,
+                          durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)
+        self.create_subscription(PointCloud2, 'trajectories/points', self._take_points, 100)
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._take_diagnostics, 10)
+        self.create_subscription(Path, 'truth/path', self._take_truth, kept)
+
+    def _take_points(self, message):
+        for point in points_to_array(message):
+            self._heard.points.setdefault(int(point['id']), {})[float(point['t'])] = point
+        self._heard.searched_until_s = seconds_from_time(message.header.stamp)
+
+    def _take_diagnostics(self, message):
+        for status in message.status:
+            if status.name.rpartition('/')[2] == 'detector':
+                self._heard.diagnostics = {pair.key: pair.value for pair in status.values}
+                self._heard.last_diagnostics_s = time.monotonic()
+
+    def _take_truth(self, message):
+        self._heard.truth.append(np.array([
+            (seconds_from_time(pose.header.stamp), pose.pose.position.x, pose.pose.position.y)
+            for pose in message.poses]).reshape(-1, 3))
+
+
+class StatusLine:
+    """Says what is being waited for: in place on a terminal, else one line per change."""
+
+    def __init__(self, stream=sys.stderr):
+        self._stream = stream
+        self._in_place = stream.isatty()
+        self._began_s = time.monotonic()
+        self._what = ''
+
+    def show(self, what: str, detail: str = '') -> None:
+        """Show ``what`` with a detail that may change quickly."""
+        if self._in_place:
+            seconds = time.monotonic() - self._began_s
+            line = f'{what}: {detail}' if detail else what
+            self._stream.write(f'\r\033[K{line[:90]} ({seconds:.0f} s)')
+        elif what != self._what:
+            self._stream.write(f'{what}\n')
+        self._what = what
+        self._stream.flush()
+
+    def clear(self) -> None:
+        """Remove the line."""
+        if self._in_place:
+            self._stream.write('\r\033[K')
+            self._stream.flush()
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the demo and return its exit code."""
+    options = _parser().parse_args(arguments)
+    signal.signal(signal.SIGTERM, _interrupt)
+    status = StatusLine()
+    try:
+        return _run(options, status)
+    except KeyboardInterrupt:
+        status.clear()
+        print('demo: interrupted', file=sys.stderr)
+        return INTERRUPTED
+    except DemoError as error:
+        status.clear()
+        return _fail(error, error.code)
+    except (TbdError, OSError) as error:
+        status.clear()
+        return _fail(error, BAD_INPUT)
+
+
+def _interrupt(*_):
+    raise KeyboardInterrupt
+
+
+def _fail(error, code):
+    print(f'demo: error: {" ".join(str(error).split())}', file=sys.stderr)
+    return code
+
+
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong in one sentence, like every other error of the demo."""
+
+    def error(self, message):
+        self.exit(_fail(f'{message} (see {self.prog} --help)', BAD_INPUT))
+
+
+def _parser():
+    parser = _Parser(
+        prog='demo', formatter_class=argparse.RawDescriptionHelpFormatter,
+        description='Play a recording to the detector over DDS and show what it finds.',
+        epilog='example:\n  demo pan.npz --set registration=translation '
+        '--set max_speed_px_s=100 \\\n      --set background=temporal_median --set noise=robust\n'
+        '\nexit codes: 0 found, 3 nothing found, 2 bad input or option, 1 failed, '
+        '130 interrupted')
+    parser.add_argument(
+        'input', metavar='INPUT', nargs='?',
+        help='.npz, folder of images, multi-page TIFF, FITS cube or rosbag2 (default: the '
+        f'scenario {SCENARIO}, simulated on the spot)')
+    parser.add_argument('--set', metavar='KEY=VALUE', action='append', default=[],
+                        help='set one option of the detector; may be repeated (tbd detect '
+                        '--list-options names them)')
+    parser.add_argument('--topic', metavar='NAME', help='topic of a bag')
+    parser.add_argument('--rate', metavar='HZ', type=float,
+                        help='frames played per second; stamps stay those of the recording '
+                        f'(default: as recorded, {AUTOMATIC_HZ:g} where that is not from '
+                        f'{SLOWEST_HZ:g} to {FASTEST_HZ:g})')
+    parser.add_argument('--output', metavar='DIR', default='output',
+                        help='folder for overlay.png, trajectories.csv and the logs of the nodes '
+                        '(default: output)')
+    parser.add_argument('--executables', metavar='DIR',
+                        help='folder with the executables detector and frame_publisher (default: '
+                        "this Python's own modules)")
+    return parser
+
+
+def _run(arguments, status):
+    options = _given_options(arguments.set)
+    if arguments.rate is not None and not 0.0 < arguments.rate <= 10000.0:
+        raise ParameterError(f'--rate must be above 0 and at most 10000 Hz, got {arguments.rate}')
+    output = FilePath(arguments.output)
+    if arguments.input is not None and not FilePath(arguments.input).exists():
+        # Said before the output folder is made.
+        raise ParameterError(f'INPUT {arguments.input} does not exist')
+    output.mkdir(parents=True, exist_ok=True)
+    source = arguments.input or _simulated(output)
+    with open_recording(source, arguments.topic) as recording:
+        print(f'{recording.name}: {len(recording)} frames of {recording.shape[0]} x '
+              f'{recording.shape[1]} px', flush=True)
+        heard = _play(arguments, options, FilePath(source), recording, output, status)
+        trajectories = _trajectories(heard, recording.stamps)
+        truth = _truth_rows(heard, recording.stamps)
+        middle = len(recording) // 2
+        overlay, table = output / 'overlay.png', output / 'trajectories.csv'
+        write_overlay(overlay, recording[middle], trajectories, truth,
+                      f'{recording.name}, frame {middle}', middle)
+        write_trajectories_csv(table, trajectories)
+    print(report(trajectories, truth))
+    _print_losses(heard, len(recording))
+    print(f'written: {overlay}, {table}')
+    return FOUND if trajectories else NOTHING_FOUND
+
+
+def _given_options(assignments) -> dict[str, Any]:
+    """Return the options given on the command line, checked."""
+    values = {}
+    for text in assignments:
+        key, separator, value = text.partition('=')
+        if not separator:
+            raise ParameterError(f'--set needs KEY=VALUE, got {text!r}')
+        values[key.strip()] = parse_option(key.strip(), value.strip())
+    checked = DetectorOptions.from_mapping(values)
+    return {key: getattr(checked, key) for key in values if getattr(checked, key) is not None}
+
+
+def _simulated(output: FilePath) -> str:
+    """Make the recording of the demo and return its path."""
+    path = output / f'{SCENARIO}.npz'
+    made = simulate(SCENARIO, SEED)
+    write_npz_recording(path, made.frames, made.stamps, made.truth)
+    return str(path)
+
+
+def _play(arguments, options, source, recording, output, status) -> Heard:
+    """Run both nodes until every frame has been searched; return what they said."""
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    if 'ROS_DOMAIN_ID' not in os.environ:
+        os.environ['ROS_DOMAIN_ID'] = str(free_domain_id())
+    detector = ChildProcess(
+        'detector', _command('detector', arguments.executables, {
+            **_detector_parameters(recording), **options}), output / 'detector.log')
+    publisher = ChildProcess(
+        'frame_publisher', _command('frame_publisher', arguments.executables, {
+            'input': str(source.resolve()), 'original_stamps': True,
+            'rate_hz': _play_rate(arguments.rate, recording),
+            **({} if arguments.topic is None else {'topic': arguments.topic})}),
+        output / 'frame_publisher.log')
+    heard = Heard()
+    # An interrupt is to arrive here as KeyboardInterrupt, not to shut rclpy down in the middle.
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    with ExitStack() as stack:
+        stack.callback(rclpy.try_shutdown)
+        listener = Listener(heard)
+        stack.callback(listener.destroy_node)
+        executor = SingleThreadedExecutor()
+        executor.add_node(listener)
+        stack.callback(executor.shutdown)
+        stack.enter_context(detector)
+        _wait_until_ready(detector, executor, heard, status)
+        stack.enter_context(publisher)
+        _wait_until_searched(detector, publisher, executor, heard, recording, status)
+        status.show('stopping the nodes')
+        for child in (publisher, detector):
+            if not child.stop():
+                raise DemoError(_ended(child))
+        status.clear()
+    return heard
+
+
+def _command(node, executables, parameters):
+    """Return the command line of a node."""
+    program = ([sys.executable, '-m', f'track_before_detect.ros.{node}_node']
+               if executables is None else [str(FilePath(executables).resolve() / node)])
+    # JSON is YAML, which ROS reads, with its strings quoted.
+    settings = [part for key, value in parameters.items()
+                for part in ('-p', f'{key}:={json.dumps(value, ensure_ascii=False)}')]
+    return [*program, '--ros-args', *settings]
+
+
+def _detector_parameters(recording: Recording) -> dict[str, Any]:
+    """Return the parameters that let the detector prepare itself and drop nothing."""
+    height, width = recording.shape
+    frame_bytes = height * width * recording.dtype.itemsize
+    intervals = np.diff(recording.stamps)
+    return {
+        'reliable': True, 'frame_height': height, 'frame_width': width,
+        'frame_rate_hz': 1.0 / float(np.median(intervals)) if len(intervals) else 1.0,
+        'flush_after_s': FLUSH_AFTER_S,
+        'queue_length': max(60, min(len(recording), QUEUE_BYTES // frame_bytes))}
+
+
+def _play_rate(wanted, recording: Recording) -> float:
+    """Return the frames played per second."""
+    if wanted is not None:
+        return wanted
+    intervals = np.diff(recording.stamps)
+    rate = 1.0 / float(np.median(intervals)) if len(intervals) else AUTOMATIC_HZ
+    usable = recording.stamps_known and SLOWEST_HZ <= rate <= FASTEST_HZ
+    return rate if usable else AUTOMATIC_HZ
+
+
+def _wait_until_ready(detector, executor, heard, status):
+    """Wait until the detector has compiled its loops and calibrated its threshold."""
+    while heard.diagnostics.get('state') != 'ready':
+        _listen(executor, heard, detector)
+        state = heard.diagnostics.get('state', 'starting')
+        status.show(f'detector: {state}', heard.diagnostics.get('detail', ''))
+
+
+def _wait_until_searched(detector, publisher, executor, heard, recording, status):
+    """Wait until the batch with the last frame has been searched."""
+    last_s = float(recording.stamps[-1])
+    tolerance_s = 1e-6 * max(1.0, abs(last_s) * 1e-6)
+    n_frames = len(recording)
+    last_change_s, counted = time.monotonic(), None
+    while heard.searched_until_s < last_s - tolerance_s:
+        _listen(executor, heard, detector)
+        code = publisher.exit_code
+        if code:
+            raise DemoError(_ended(publisher), BAD_INPUT if code == BAD_INPUT else FAILED)
+        received, batches = heard.count('frames_received'), heard.count('batches')
+        what = 'playing' if code is None else 'searching the last frames'
+        if code is None and not received:
+            what = 'waiting for frame_publisher and detector to find each other'
+        status.show(what, f'{received} of {n_frames} frames, {batches} batches, '
+                          f'{len(heard.points)} trajectories')
+        if (received, batches, code) != counted:
+            last_change_s, counted = time.monotonic(), (received, batches, code)
+        if heard.count('failures') and code is not None and not heard.count('frames_waiting'):
+            raise DemoError(f'the detector failed: {heard.diagnostics["last_warning"]} (log: '
+                            f'{detector.log})', BAD_INPUT)
+        if time.monotonic() - last_change_s > RESULT_TIMEOUT_S:
+            raise DemoError(
+                f'no result for {RESULT_TIMEOUT_S:.0f} s; the detector was: {heard.state} (log: '
+                f'{detector.log})')
+    # The counters in the last diagnostics may be older than the result.
+    searched_s = time.monotonic()
+    while heard.last_diagnostics_s < searched_s:
+        _listen(executor, heard, detector)
+
+
+def _listen(executor, heard, detector):
+    """Receive for a moment and make sure that the detector is well."""
+    executor.spin_once(timeout_sec=0.1)
+    code = detector.exit_code
+    if code is not None:
+        raise DemoError(_ended(detector), BAD_INPUT if code == BAD_INPUT else FAILED)
+    if heard.diagnostics.get('state') == 'failed':
+        raise DemoError(f'the detector failed: {heard.diagnostics["detail"]}', BAD_INPUT)
+    if time.monotonic() - heard.last_diagnostics_s > SILENCE_TIMEOUT_S:
+        raise DemoError(f'nothing heard from the detector for {SILENCE_TIMEOUT_S:.0f} s over DDS '
+                        f'(log: {detector.log})')
+
+
+def _ended(child):
+    """Return a sentence about a node that ended too early or badly."""
+    lines = child.last_lines(1)
+    if child.exit_code == BAD_INPUT and lines:
+        return lines[0].partition('error: ')[2] or lines[0]
+    said = f', its last words: {lines[0]}' if lines else ''
+    return f'{child.name} ended with exit code {child.exit_code}{said} (log: {child.log})'
+
+
+def _frame_numbers(stamps_s, recorded_s):
+    """Return the number of the frame whose stamp is nearest, for each stamp."""
+    after = np.clip(np.searchsorted(recorded_s, stamps_s), 1, max(1, len(recorded_s) - 1))
+    before = after - 1
+    if len(recorded_s) == 1:
+        return np.zeros(len(stamps_s), np.int64)
+    nearer = stamps_s - recorded_s[before] < recorded_s[after] - stamps_s
+    return np.where(nearer, before, after)
+
+
+def _trajectories(heard: Heard, recorded_s) -> list[Trajectory]:
+    """Return what was found, one trajectory per id, by descending SNR."""
+    found = []
+    for identity, by_stamp in heard.points.items():
+        stamps_s = np.array(sorted(by_stamp))
+        points = np.array([by_stamp[stamp] for stamp in stamps_s])
+        found.append(Trajectory(
+            id=identity, positions=np.column_stack([points['x'], points['y']]).astype(float),
+            amplitudes=points['amplitude'].astype(float),
+            velocity=np.column_stack([points['vx'], points['vy']]).astype(float),
+            stamps=stamps_s, frame_indices=_frame_numbers(stamps_s, recorded_s),
+            statistic=float('nan'), snr=float(points['snr'].max())))
+    return sorted(found, key=lambda trajectory: -trajectory.snr)
+
+
+def _truth_rows(heard: Heard, recorded_s) -> NDArray[np.float64] | None:
+    """Return the true positions, rows [frame, target, x, y], None where they are not known."""
+    if not heard.truth:
+        return None
+    return np.concatenate([
+        np.column_stack([_frame_numbers(rows[:, 0], recorded_s), np.full(len(rows), target),
+                         rows[:, 1:]])
+        for target, rows in enumerate(heard.truth)])
+
+
+def report(trajectories: Sequence[Trajectory], truth: NDArray | None) -> str:
+    """Return tables of the trajectories found and of the true targets.
+
+    Parameters
+    ----------
+    trajectories : sequence of Trajectory
+        Present in each of their frames.
+    truth : array, shape (N, 4), or None
+        Rows [frame, target, x, y].
+    """
+    errors = {(trajectory.id, target): error for trajectory in trajectories
+              for target, error in _errors(trajectory, truth).items()}
+    return '\n\n'.join(part for part in (
+        _found_table(trajectories, truth, errors), _truth_table(trajectories, truth, errors))
+        if part)
+
+
+def _errors(trajectory, truth):
+    """Return the distances to each true target in the frames they share."""
+    errors = {}
+    for target in np.unique(truth[:, 1]) if truth is not None else ():
+        rows = truth[truth[:, 1] == target]
+        _, ours, theirs = np.intersect1d(
+            trajectory.frame_indices, rows[:, 0], return_indices=True)
+        if len(ours):
+            errors[int(target)] = np.hypot(
+                *(trajectory.positions[ours] - rows[theirs, 2:]).T)
+    return errors
+
+
+def _found_table(trajectories, truth, errors):
+    if not trajectories:
+        return 'no trajectory found'
+    header = ['id', 'frames', 'first x, y [px]', 'last x, y [px]', 'speed [px/s]', 'snr']
+    rows = [header + ([] if truth is None else ['nearest target', 'mean error [px]'])]
+    for trajectory in trajectories:
+        row = [str(trajectory.id), _span(trajectory.frame_indices),
+               *(_position(trajectory.positions[k]) for k in (0, -1)),
+               f'{np.hypot(*trajectory.velocity.T).mean():.2f}', f'{trajectory.snr:.2f}']
+        if truth is not None:
+            near = {target: distances.mean() for (identity, target), distances in errors.items()
+                    if identity == trajectory.id}
+            nearest = min(near, key=lambda target: near[target], default=None)
+            row += ['-', '-'] if nearest is None else [str(nearest), f'{near[nearest]:.2f}']
+        rows.append(row)
+    return 'trajectories found\n' + _aligned(rows)
+
+
+def _truth_table(trajectories, truth, errors):
+    if truth is None:
+        return ''
+    rows = [['target', 'frames', 'first x, y [px]', 'last x, y [px]',
+             f'frames within {NEAR_PX:g} px', 'by ids']]
+    for target in np.unique(truth[:, 1]).astype(int):
+        places = truth[truth[:, 1] == target]
+        followed: set[int] = set()
+        by_ids = []
+        for trajectory in trajectories:
+            distances = errors.get((trajectory.id, target))
+            if distances is None:
+                continue
+            shared = np.intersect1d(trajectory.frame_indices, places[:, 0])
+            near = shared[distances <= NEAR_PX].astype(int).tolist()
+            followed.update(near)
+            by_ids += [str(trajectory.id)] if near else []
+        rows.append([str(target), _span(places[:, 0].astype(int)), _position(places[0, 2:]),
+                     _position(places[-1, 2:]), f'{len(followed)} of {len(places)}',
+                     ', '.join(by_ids) or '-'])
+    return 'true targets\n' + _aligned(rows)
+
+
+def _span(frames):
+    return f'{frames[0]}-{frames[-1]}'
+
+
+def _position(position):
+    return f'{position[0]:.1f}, {position[1]:.1f}'
+
+
+def _aligned(rows):
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return '\n'.join('  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+                     for row in rows)
+
+
+def _print_losses(heard, n_frames):
+    """Say so when the detector did not search every frame."""
+    received = heard.count('frames_received')
+    counts = {'lost on the way': n_frames - received, 'dropped': heard.count('frames_dropped'),
+              'refused': heard.count('frames_refused')}
+    lost = ', '.join(f'{count} {what}' for what, count in counts.items() if count > 0)
+    if lost:
+        print(f'note: of {n_frames} frames {lost}')
+
+
+if __name__ == '__main__':
+    sys.exit(main())
