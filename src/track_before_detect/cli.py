@@ -69,24 +69,31 @@ examples:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(format='tbd: %(levelname)s: %(message)s', level=logging.WARNING)
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader of our output, such as head, has seen enough; closing must not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FOUND
+    except KeyboardInterrupt:
+        print('tbd: interrupted', file=sys.stderr)
+        return INTERRUPTED
+    except (TbdError, OSError) as error:
+        return _fail(str(error))
+    except MemoryError:
+        return _fail('not enough memory for this recording; a smaller batch_length needs less')
+
+
+def _run(arguments):
     parser = _parser()
     options = parser.parse_args(arguments)
     if options.command is None:
         parser.print_help()
         return BAD_INPUT
-    try:
-        return options.run(options)
-    except KeyboardInterrupt:
-        print('tbd: interrupted', file=sys.stderr)
-        return INTERRUPTED
-    except BrokenPipeError:
-        # The reader of our output, such as head, has seen enough; closing must not fail again.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return FOUND
-    except (TbdError, OSError) as error:
-        return _fail(str(error))
-    except MemoryError:
-        return _fail('not enough memory for this recording; a smaller batch_length needs less')
+    return options.run(options)
 
 
 def _fail(message):
