@@ -64,8 +64,11 @@ def render_overlay(frame: NDArray, trajectories: Sequence[Trajectory]) -> NDArra
     """
     image = _real(frame)
     low, high = contrast_limits(image)
-    grey = np.nan_to_num((image - low) * (255.0 / (high - low)), nan=0.0)
-    picture = np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
+    grey = image - image.dtype.type(low)
+    grey *= image.dtype.type(255.0 / (high - low))
+    # The order of these bounds turns NaN into black.
+    np.fmin(np.fmax(grey, 0.0, out=grey), 255.0, out=grey)
+    picture = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
     for trajectory in trajectories:
         points = _line_pixels(_present(trajectory))
         inside = ((points >= 0) & (points < (image.shape[1], image.shape[0]))).all(axis=1)
@@ -200,9 +203,11 @@ def _draw_label(axes, trajectory, points):
 
 
 def _real(frame):
-    """Return a real picture of a frame."""
+    """Return a real picture of a frame, in the floating-point type that holds its values."""
     frame = np.asarray(frame)
-    return np.abs(frame) if np.iscomplexobj(frame) else frame.astype(np.float64)
+    if np.iscomplexobj(frame):
+        return np.abs(frame)
+    return frame.astype(np.result_type(frame.dtype, np.float32), copy=False)
 
 
 def _present(trajectory):
