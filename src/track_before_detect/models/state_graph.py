@@ -1,0 +1,142 @@
+"""Which paths a target may take: the discretised state space and its transitions.
+
+A path runs straight for a segment of several frames and may change its velocity between two
+segments by few steps of the velocity grid. The best graph turns as fast as the target may and no
+faster: every further turn it allows is another way to follow the noise. Searching whole segments
+also costs less than searching frame by frame, for the sum over a segment needs no maximum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+# Displacement over one segment between neighbouring velocities, in grid steps. With two, a target
+# between two velocities drifts off its segment by at most half a step at either end.
+STEPS_PER_SEGMENT = 2.0
+
+
+@dataclass(frozen=True)
+class StateGraph:
+    """States (position, velocity) and the transitions between them.
+
+    Attributes
+    ----------
+    step_px : float
+        Distance of neighbouring positions.
+    knots : array of int, shape (J + 1,)
+        First frame of each of the J segments, and the number of frames.
+    velocities : array, shape (V, 2)
+        v_x, v_y in pixels per second.
+    velocity_step : float
+        Distance of neighbouring velocities in pixels per second.
+    reach : int
+        Steps by which either component may change between two segments.
+    row_first, row_x : array of int32, shape (R + 1,) and (R,)
+        Rows of equal v_y: number of the first velocity and grid index of its v_x.
+    moves : array of int32, shape (T, V, 2)
+        Displacement in steps from the start of its segment to each frame.
+    end_moves : array of int32, shape (J, V, 2)
+        Displacement over each segment.
+    turn_cost : float
+        What a change of velocity by one step costs a path, in units of its squared statistic.
+    """
+
+    step_px: float
+    knots: NDArray[np.int64]
+    velocities: NDArray[np.float64]
+    velocity_step: float
+    reach: int
+    row_first: NDArray[np.int32]
+    row_x: NDArray[np.int32]
+    moves: NDArray[np.int32]
+    end_moves: NDArray[np.int32]
+    turn_cost: float
+
+    @property
+    def n_frames(self) -> int:
+        """Frames of the batch."""
+        return int(self.knots[-1])
+
+    @property
+    def n_segments(self) -> int:
+        """Segments of the batch."""
+        return len(self.knots) - 1
+
+    @property
+    def n_velocities(self) -> int:
+        """Velocities of the grid."""
+        return len(self.velocities)
+
+
+def build_state_graph(stamps: NDArray, *, step_px: float, max_speed: float,
+                      max_acceleration: float, turn_cost: float) -> StateGraph:
+    """Discretise nearly constant velocity.
+
+    Parameters
+    ----------
+    stamps : array, shape (T,)
+        Seconds, strictly increasing.
+    step_px : float
+        Distance of neighbouring positions in pixels.
+    max_speed : float
+        Pixels per second.
+    max_acceleration : float
+        Pixels per second squared; 0 allows no turn.
+    turn_cost : float
+        Cost of one velocity step at a turn.
+    """
+    n_frames = len(stamps)
+    interval = float(np.median(np.diff(stamps))) if n_frames > 1 else 1.0
+    span = float(stamps[-1] - stamps[0]) + interval
+    if max_acceleration > 0 and max_speed > 0:
+        duration = math.sqrt(STEPS_PER_SEGMENT * step_px / max_acceleration)
+    else:
+        duration = span
+    n_segments = min(max(1, round(span / max(duration, interval))), n_frames)
+    starts = stamps[0] + span / n_segments * np.arange(n_segments)
+    knots = np.searchsorted(stamps, starts - 1e-6 * interval)
+    knots = np.unique(np.append(knots, n_frames))
+    n_segments = len(knots) - 1
+
+    if n_segments == n_frames:
+        # Each frame is a segment of its own: a finer step than one position would not be seen.
+        velocity_step = step_px / interval
+    elif n_segments == 1:
+        velocity_step = STEPS_PER_SEGMENT * step_px / max(span - interval, interval)
+    else:
+        velocity_step = STEPS_PER_SEGMENT * step_px / (span / n_segments)
+    reach = max(1, round(max_acceleration * span / n_segments / velocity_step))
+    grid, row_first, row_x = _disc(max_speed / velocity_step)
+    velocities = grid * velocity_step
+
+    moves = np.zeros((n_frames, len(grid), 2), np.int32)
+    end_moves = np.zeros((n_segments, len(grid), 2), np.int32)
+    ends = np.append(stamps, stamps[-1] + interval)[knots[1:]]
+    for j in range(n_segments):
+        elapsed = stamps[knots[j]:knots[j + 1]] - stamps[knots[j]]
+        moves[knots[j]:knots[j + 1]] = _whole(elapsed[:, None, None] * velocities / step_px)
+        end_moves[j] = _whole((ends[j] - stamps[knots[j]]) * velocities / step_px)
+    return StateGraph(step_px, knots, velocities, velocity_step, reach, row_first, row_x,
+                      moves, end_moves, float(turn_cost))
+
+
+def _whole(values):
+    """Round half away from zero, so that opposite velocities move by opposite steps."""
+    return (np.sign(values) * np.floor(np.abs(values) + 0.5)).astype(np.int32)
+
+
+def _disc(radius):
+    """Return the grid points within ``radius`` and half a step, row by row."""
+    outer = radius + 0.5 if radius > 0 else 0.0
+    extent = math.floor(outer)
+    rows = []
+    for i_y in range(-extent, extent + 1):
+        half = math.floor(math.sqrt(max(outer**2 - i_y**2, 0.0)) + 1e-9)
+        rows.append([(i_x, i_y) for i_x in range(-half, half + 1)])
+    row_first = np.cumsum([0] + [len(row) for row in rows]).astype(np.int32)
+    row_x = np.array([row[0][0] + extent for row in rows], np.int32)
+    return np.array([point for row in rows for point in row], float), row_first, row_x

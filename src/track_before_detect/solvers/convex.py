@@ -1,0 +1,173 @@
+"""The convex detector on one batch of prepared frames."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.state_graph import build_state_graph, StateGraph
+from track_before_detect.options import DetectorOptions
+from track_before_detect.solvers.path_search import PathSearch
+from track_before_detect.solvers.path_set import PathSet
+from track_before_detect.solvers.refinement import Refiner
+from track_before_detect.solvers.subspace_pursuit import pursue, PursuitSettings
+from track_before_detect.solvers.threshold import regular_stamps, threshold_for
+from track_before_detect.types import Step
+
+# Cost of changing either velocity component by one step, in units of squared statistic.
+TURN_COST = 2.0
+# Largest acceleration unless given: the maximum speed within this many frame intervals.
+INTERVALS_TO_MAX_SPEED = 20
+# Share of its norm that a stamp must keep for a pixel's noise to count as noise of one.
+MOST_TABLE_BYTES = 8 * 2**30
+
+
+@dataclass(frozen=True)
+class FoundTrajectory:
+    """One target in one batch.
+
+    Attributes
+    ----------
+    positions : array, shape (T, 2)
+        x and y in pixels of the prepared frames.
+    amplitudes : array, shape (T,)
+        In units of the noise standard deviation.
+    statistic : float
+        What is compared with the threshold.
+    snr : float
+        Mean over frames of the statistic of one frame.
+    """
+
+    positions: NDArray[np.float64]
+    amplitudes: NDArray[np.float64]
+    statistic: float
+    snr: float
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """What was found in one batch; fields as in DetectionResult."""
+
+    found: list[FoundTrajectory]
+    threshold: float
+    status: str
+    history: list[Step]
+    gap: float
+
+
+class ConvexDetector:
+    """Finds all trajectories of a batch jointly.
+
+    Parameters
+    ----------
+    options : DetectorOptions
+        Motion, PSF, threshold and schedule.
+    """
+
+    def __init__(self, options: DetectorOptions):
+        self._options = options
+        self._psf = GaussianPsf(options.psf_sigma_px)
+        self._search: tuple[tuple, PathSearch] | None = None
+        self._thresholds: dict[tuple, float] = {}
+
+    def graph(self, stamps: NDArray) -> StateGraph:
+        """Return the paths that are searched for frames taken at ``stamps`` (s)."""
+        options = self._options
+        interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0
+        speed = options.max_speed_px_s
+        if speed is None:
+            speed = 1.0 / interval
+        if options.motion_model == 'static' or len(stamps) == 1:
+            speed = 0.0
+        acceleration = options.max_acceleration_px_s2
+        if acceleration is None:
+            acceleration = speed / (INTERVALS_TO_MAX_SPEED * interval)
+        if options.motion_model == 'constant_velocity':
+            acceleration = 0.0
+        # Three digits are finer than any grid and keep equal cameras on one calibration.
+        speed, acceleration = (float(f'{value:.3g}') for value in (
+            speed * interval, acceleration * interval**2))
+        return build_state_graph(
+            regular_stamps(stamps), step_px=1 / self._psf.oversampling, max_speed=speed,
+            max_acceleration=acceleration, turn_cost=TURN_COST)
+
+    def threshold(self, stamps: NDArray, shape: tuple[int, int],
+                  progress: Callable[[str, float], None] | None = None) -> float:
+        """Return the threshold for batches of this shape, calibrating it where it is unknown."""
+        if self._options.threshold is not None:
+            return self._options.threshold
+        key = (tuple(regular_stamps(stamps)), self._interval_key(stamps), shape)
+        if key not in self._thresholds:
+            self._thresholds[key] = threshold_for(
+                self.graph(stamps), self._psf, shape, self._options.false_alarm_rate, progress)
+        return self._thresholds[key]
+
+    def _interval_key(self, stamps):
+        """Return what the graph depends on beside the pattern of the stamps."""
+        return float(f'{np.median(np.diff(stamps)):.3g}') if len(stamps) > 1 else 0.0
+
+    def detect(self, frames: NDArray, stamps: NDArray,
+               progress: Callable[[str, float], None] | None = None) -> BatchResult:
+        """Find the trajectories.
+
+        Parameters
+        ----------
+        frames : float32 array, shape (T, H, W)
+            Frames of unit noise; NaN where masked.
+        stamps : array, shape (T,)
+            Seconds.
+        progress : callable, optional
+            Told of a calibration.
+        """
+        shape = frames.shape[1:]
+        graph = self.graph(stamps)
+        self._check_size(graph, shape)
+        threshold = self.threshold(stamps, shape, progress)
+        valid = np.isfinite(frames)
+        if valid.all():
+            clean, mask = np.ascontiguousarray(frames, np.float32), None
+        else:
+            clean, mask = np.where(valid, frames, np.float32(0)), valid
+        search = self._path_search(graph, stamps, shape, mask)
+        valid_pixels = np.zeros((0, 0, 0), bool) if mask is None else mask
+        paths = PathSet(clean, valid_pixels, self._psf, threshold)
+        times = regular_stamps(stamps)
+        refiner = Refiner(graph, self._psf, times, shape, valid_pixels)
+        result = pursue(search, refiner, paths, 3 * self._psf.sigma_px,
+                        PursuitSettings(self._options.continuation))
+        return BatchResult(self._collect(paths), threshold, result.status, result.history,
+                           result.gap)
+
+    def _collect(self, paths):
+        found = []
+        for path in range(len(paths)):
+            statistics = paths.statistics(path)
+            squared = np.sum(np.maximum(statistics, 0)**2) - paths.costs[path]
+            found.append(FoundTrajectory(
+                paths.positions[path], paths.amplitudes[path].copy(),
+                math.sqrt(max(squared, 0.0)), float(np.mean(statistics))))
+        return sorted(found, key=lambda trajectory: -trajectory.statistic)
+
+    def _path_search(self, graph, stamps, shape, mask):
+        """Return the search for these frames, with its tables where the last one had them."""
+        key = (shape, tuple(regular_stamps(stamps)), self._interval_key(stamps))
+        if self._search is None or self._search[0] != key:
+            self._search = (key, PathSearch(graph, self._psf, shape))
+        self._search[1].set_mask(mask)
+        return self._search[1]
+
+    def _check_size(self, graph, shape):
+        positions = np.prod([(n - 1) * self._psf.oversampling + 1 for n in shape])
+        needed = 4.0 * graph.n_segments * graph.n_velocities * positions
+        if needed > MOST_TABLE_BYTES:
+            raise ParameterError(
+                f'the search over {graph.n_velocities} velocities in {shape[1]} x {shape[0]} '
+                f'pixels and {graph.n_frames} frames needs {needed / 2**30:.1f} GiB, more than '
+                f'{MOST_TABLE_BYTES / 2**30:.0f} GiB; lower max_speed_px_s or batch_length, or '
+                'raise max_acceleration_px_s2 (which coarsens the velocities)')

@@ -1,0 +1,187 @@
+"""Search of the best paths for given frames over all paths of a state graph (Patent Eq. 16-22).
+
+A path wins by the sum of its squared positive statistics less the cost of its turns, the largest
+of which is found by dynamic programming. For a group lasso with weights
+lambda_path^2 = lambda^2 + cost(path) this is the worst violator of the optimality conditions:
+a value above lambda^2 is a path that lowers the objective, and when there is none the solution
+at hand is optimal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.kernels import matched_filter, path_search
+from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.state_graph import StateGraph
+
+# Sums of twenty squared statistics in single precision are off by less than this fraction.
+ROUNDING = 1e-5
+
+
+@dataclass(frozen=True)
+class FoundPath:
+    """A path over the state graph.
+
+    Attributes
+    ----------
+    positions : array, shape (T, 2)
+        x and y in pixels.
+    value : float
+        Sum of squared positive statistics less the cost of the turns.
+    cost : float
+        Cost of the turns.
+    """
+
+    positions: NDArray[np.float64]
+    value: float
+    cost: float
+
+
+class PathSearch:
+    """Finds the best paths in frames of one size and one set of stamps.
+
+    Parameters
+    ----------
+    graph : StateGraph
+        The paths.
+    psf : GaussianPsf
+        Its oversampling has to match the step of the graph.
+    shape : tuple of int
+        (H, W) of the frames.
+    """
+
+    def __init__(self, graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int]):
+        self.graph = graph
+        n_sub = psf.oversampling
+        self._n_sub = n_sub
+        self._taps = np.array([psf.taps(phase / n_sub) for phase in range(n_sub)], np.float32)
+        self._scale_y = self._border_scale(shape[0])
+        self._scale_x = self._border_scale(shape[1])
+        self.grid_shape = (len(self._scale_y), len(self._scale_x))
+        self._norm_squared: NDArray | None = None
+        self._values: NDArray | None = None
+
+    def set_mask(self, valid: NDArray | None) -> None:
+        """Tell which pixels (T, H, W) hold data; None when all do."""
+        self._norm_squared = None if valid is None else self._norms(valid)
+
+    def scores(self, frames: NDArray) -> NDArray:
+        """Return the squared positive statistic of every position, shape (T, Y, X)."""
+        scores = np.empty((len(frames), *self.grid_shape), np.float32)
+        n_y = self.grid_shape[0]
+        for t, frame in enumerate(frames):
+            common = (self._taps, self._scale_y, self._scale_x, 0, n_y)
+            if self._norm_squared is None:
+                matched_filter.scores_of_frame(scores[t], frame, *common)
+            else:
+                matched_filter.scores_of_masked_frame(
+                    scores[t], frame, self._norm_squared[t], *common)
+        return scores
+
+    def run(self, scores: NDArray) -> NDArray:
+        """Fill the table of best path weights; return the best by last start, shape (Y, X)."""
+        graph = self.graph
+        n_y, n_x = self.grid_shape
+        shape = (graph.n_segments, n_y, graph.n_velocities, n_x)
+        if self._values is None:
+            self._values = np.empty(shape, np.float32)
+        before = np.empty((0, graph.n_velocities, n_x), np.float32)
+        end_moves = np.zeros((graph.n_velocities, 2), np.int32)
+        for j in range(graph.n_segments):
+            path_search.forward_segment(
+                self._values[j], before, scores, graph.moves, end_moves, graph.knots[j],
+                graph.knots[j + 1], graph.row_first, graph.row_x, graph.reach,
+                np.float32(graph.turn_cost), 0, n_y)
+            before, end_moves = self._values[j], graph.end_moves[j]
+        best = np.empty((n_y, n_x), np.float32)
+        path_search.best_by_position(self._values[-1], best, 0, n_y)
+        return best
+
+    def best_value(self, frames: NDArray) -> float:
+        """Return the largest value of any path."""
+        return float(self.run(self.scores(frames)).max())
+
+    def best_paths(self, frames: NDArray, above: float, separation: float,
+                   is_new: Callable[[NDArray], bool], limit: int,
+                   ) -> tuple[float, list[FoundPath]]:
+        """Return the largest value of any path, and separate paths with values above a bound.
+
+        Parameters
+        ----------
+        frames : array, shape (T, H, W)
+            Frames of unit noise, masked pixels zero.
+        above : float
+            Only paths of larger value are returned.
+        separation : float
+            Pixels between the last positions of two paths that are both traced.
+        is_new : callable
+            Told the positions (T, 2) of a path, says whether it is worth returning.
+        limit : int
+            Most paths that are traced.
+        """
+        best = self.run(self.scores(frames))
+        largest = float(best.max())
+        found: list[FoundPath] = []
+        radius = max(1, round(separation / self.graph.step_px))
+        for _ in range(limit):
+            y, x = np.unravel_index(int(np.argmax(best)), best.shape)
+            if not best[y, x] > above:
+                break
+            path = self._trace(int(y), int(x))
+            if is_new(path.positions):
+                found.append(path)
+            best[max(0, y - radius):y + radius + 1, max(0, x - radius):x + radius + 1] = (
+                path_search.ABSENT)
+        return largest, found
+
+    def _trace(self, y, x):
+        """Follow the best path back from the start (y, x) of its last segment."""
+        graph, values = self.graph, self._values
+        velocity = int(np.argmax(values[-1, y, :, x]))
+        value = float(values[-1, y, velocity, x])
+        grid = np.rint(graph.velocities / graph.velocity_step)
+        positions = np.empty((graph.n_frames, 2))
+        cost = 0.0
+        for j in range(graph.n_segments - 1, -1, -1):
+            first, last = graph.knots[j], graph.knots[j + 1]
+            positions[first:last] = (x, y) + graph.moves[first:last, velocity]
+            if j == 0:
+                break
+            steps = np.abs(grid - grid[velocity])
+            near = np.flatnonzero(steps.max(axis=1) <= graph.reach)
+            from_x = x - graph.end_moves[j - 1, near, 0]
+            from_y = y - graph.end_moves[j - 1, near, 1]
+            inside = ((from_x >= 0) & (from_x < values.shape[3])
+                      & (from_y >= 0) & (from_y < values.shape[1]))
+            near, from_x, from_y = near[inside], from_x[inside], from_y[inside]
+            turn = graph.turn_cost * steps[near].sum(axis=1)
+            chosen = int(np.argmax(values[j - 1, from_y, near, from_x] - turn))
+            cost += float(turn[chosen])
+            velocity, x, y = int(near[chosen]), int(from_x[chosen]), int(from_y[chosen])
+        return FoundPath(positions * graph.step_px, value, cost)
+
+    def _border_scale(self, length):
+        """One over the norm of what is left of the PSF inside the frame, per grid position."""
+        half = self._taps.shape[1] // 2
+        scale = np.empty((length - 1) * self._n_sub + 1, np.float32)
+        for position in range(len(scale)):
+            centre, phase = divmod(position, self._n_sub)
+            pixel = np.arange(centre - half, centre + half + 1)
+            inside = (pixel >= 0) & (pixel < length)
+            scale[position] = 1 / math.sqrt(float(np.sum(self._taps[phase, inside]**2)))
+        return scale
+
+    def _norms(self, valid):
+        """Squared norm that the mask leaves of the unit-norm PSF, shape (T, Y, X)."""
+        norms = np.empty((len(valid), *self.grid_shape), np.float32)
+        for t, frame in enumerate(valid.astype(np.float32)):
+            matched_filter.filter_frame(
+                norms[t], frame, self._taps**2, self._scale_y**2, self._scale_x**2, 0,
+                self.grid_shape[0])
+        return norms

@@ -1,0 +1,230 @@
+"""The working set: paths between the pixels, their amplitudes and how they overlap.
+
+Frames are independent, so two paths meet through one number per frame, the inner product of
+their stamps. With those numbers and the matched filter of the data along each path the objective
+needs no pixels (Patent Eq. 6-8).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.kernels import shrinkage
+from track_before_detect.kernels import stamps as stamp_kernels
+from track_before_detect.models.psf import GaussianPsf
+
+MOST_SWEEPS = 5000
+
+
+class PathSet:
+    """Paths with amplitudes and the residual they leave.
+
+    Parameters
+    ----------
+    frames : float32 array, shape (T, H, W)
+        Frames of unit noise, masked pixels zero.
+    valid : array of bool, shape (T, H, W) or (0, 0, 0)
+        Pixels that hold data; of no frames where all do.
+    psf : GaussianPsf
+        What a target looks like.
+    threshold : float
+        lambda of a path without turns.
+
+    Attributes
+    ----------
+    positions : list of array, shape (T, 2)
+        x and y in pixels of each path.
+    costs : list of float
+        Cost of the turns; lambda_path^2 = threshold^2 + cost.
+    amplitudes : array, shape (P, T)
+    residual : float32 array, shape (T, H, W)
+        Frames less the fit.
+    """
+
+    def __init__(self, frames: NDArray, valid: NDArray, psf: GaussianPsf, threshold: float):
+        self.frames = frames
+        self._valid = valid
+        self._psf = psf
+        self.threshold = threshold
+        self.positions: list[NDArray] = []
+        self.costs: list[float] = []
+        self._stamps: list[NDArray] = []
+        self._origins: list[NDArray] = []
+        n_frames = len(frames)
+        self.matched = np.empty((0, n_frames))
+        self.gram = np.empty((0, 0, n_frames))
+        self.amplitudes = np.empty((0, n_frames))
+        self.residual = frames.copy()
+        self.energy = 0.5 * float(np.einsum('tyx,tyx->', frames, frames, dtype=np.float64))
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """lambda of each path, shape (P,)."""
+        return np.sqrt(self.threshold**2 + np.array(self.costs, float))
+
+    def add(self, positions: NDArray, cost: float) -> None:
+        """Append a path with amplitude zero."""
+        self.positions.append(positions)
+        self.costs.append(cost)
+        stamps, origins = self._render(positions)
+        self._stamps.append(stamps)
+        self._origins.append(origins)
+        n_paths, n_frames = len(self), len(self.frames)
+        for name, shape in (('matched', (n_paths, n_frames)), ('amplitudes', (n_paths, n_frames)),
+                            ('gram', (n_paths, n_paths, n_frames))):
+            grown = np.zeros(shape)
+            old = getattr(self, name)
+            grown[tuple(slice(0, n) for n in old.shape)] = old
+            setattr(self, name, grown)
+        self._relate(n_paths - 1)
+
+    def move(self, path: int, positions: NDArray, cost: float) -> None:
+        """Put a path elsewhere, its amplitudes unchanged."""
+        self._take(path, -1.0)
+        self.positions[path] = positions
+        self.costs[path] = cost
+        self._stamps[path], self._origins[path] = self._render(positions)
+        self._relate(path)
+        self._take(path, 1.0)
+
+    def remove(self, paths: NDArray) -> None:
+        """Drop some paths."""
+        for path in paths:
+            self._take(path, -1.0)
+        keep = np.setdiff1d(np.arange(len(self)), paths)
+        self.positions = [self.positions[p] for p in keep]
+        self.costs = [self.costs[p] for p in keep]
+        self._stamps = [self._stamps[p] for p in keep]
+        self._origins = [self._origins[p] for p in keep]
+        self.matched = self.matched[keep]
+        self.amplitudes = self.amplitudes[keep]
+        self.gram = np.ascontiguousarray(self.gram[np.ix_(keep, keep)])
+
+    def fitted(self, members: NDArray, t_convex: float, tolerance: float,
+               ) -> tuple[float, NDArray, bool]:
+        """Fit the amplitudes of some paths that overlap no others.
+
+        Returns
+        -------
+        objective : float
+            F_t of these paths, without the energy of the data.
+        amplitudes : array, shape (len(members), T)
+        converged : bool
+        """
+        matched = self.matched[members]
+        gram = np.ascontiguousarray(self.gram[np.ix_(members, members)])
+        weights = self.weights[members]
+        amplitudes = self.amplitudes[members].copy()
+        sweeps = shrinkage.descend(amplitudes, matched, gram, weights, t_convex, tolerance,
+                                   MOST_SWEEPS)
+        return (objective(amplitudes, matched, gram, weights, t_convex), amplitudes,
+                sweeps <= MOST_SWEEPS)
+
+    def assign(self, members: NDArray, amplitudes: NDArray) -> None:
+        """Set the amplitudes of some paths and bring the residual up to date."""
+        for row, path in enumerate(members):
+            change = amplitudes[row] - self.amplitudes[path]
+            if np.any(change):
+                self.amplitudes[path] = amplitudes[row]
+                stamp_kernels.accumulate(
+                    self.residual, self._stamps[path], self._origins[path], -change)
+
+    def clusters(self) -> list[NDArray]:
+        """Return the sets of paths that overlap, directly or through others."""
+        touching = np.abs(self.gram).max(axis=2, initial=0) > 0
+        left = set(range(len(self)))
+        found = []
+        while left:
+            members = {left.pop()}
+            fresh = set(members)
+            while fresh:
+                fresh = left & {int(q) for p in fresh for q in np.flatnonzero(touching[p])}
+                left -= fresh
+                members |= fresh
+            found.append(np.array(sorted(members)))
+        return found
+
+    def objective(self, t_convex: float) -> float:
+        """Return F_t, the energy of the data included."""
+        return self.energy + objective(self.amplitudes, self.matched, self.gram, self.weights,
+                                       t_convex)
+
+    def without(self, path: int) -> NDArray:
+        """Return the frames less the fit of all other paths."""
+        frames = self.residual.copy()
+        stamp_kernels.accumulate(frames, self._stamps[path], self._origins[path],
+                                 self.amplitudes[path])
+        return frames
+
+    def similarity(self, path: int) -> NDArray:
+        """Return the mean overlap of a path with every path, shape (P,)."""
+        return self.gram[path].mean(axis=1)
+
+    def statistics(self, path: int) -> NDArray:
+        """Return the statistic of a path in each frame, the other paths taken off."""
+        others = np.einsum('qt,qt->t', self.gram[path], self.amplitudes)
+        own = self.gram[path, path] * self.amplitudes[path]
+        return self.matched[path] - others + own
+
+    def statistic_of(self, positions: NDArray) -> float:
+        """Return the statistic of any path on the residual."""
+        stamps, origins = self._render(positions)
+        seen = np.empty(len(self.frames))
+        stamp_kernels.correlate(stamps, origins, self.residual, seen)
+        return float(np.linalg.norm(np.maximum(seen, 0)))
+
+    def refresh(self) -> None:
+        """Compute the residual anew, which sheds the rounding of many small changes."""
+        self.residual[:] = self.frames
+        for path in range(len(self)):
+            self._take(path, 1.0)
+
+    def _take(self, path, sign):
+        """Take the fit of one path off the residual (or put it back)."""
+        stamp_kernels.accumulate(self.residual, self._stamps[path], self._origins[path],
+                                 -sign * self.amplitudes[path])
+
+    def _render(self, positions):
+        half = self._psf.half_width
+        n_frames, height, width = self.frames.shape
+        stamps = np.empty((n_frames, 2 * half + 1, 2 * half + 1))
+        origins = np.empty((n_frames, 2), np.int64)
+        stamp_kernels.render_gaussian(np.ascontiguousarray(positions), self._psf.sigma_px, half,
+                                      height, width, self._valid, stamps, origins)
+        return stamps, origins
+
+    def _relate(self, path):
+        """Fill the matched filter and the overlaps of one path."""
+        stamp_kernels.correlate(self._stamps[path], self._origins[path], self.frames,
+                                self.matched[path])
+        for other in range(len(self)):
+            stamp_kernels.overlap(self._stamps[path], self._origins[path], self._stamps[other],
+                                  self._origins[other], self.gram[path, other])
+            self.gram[other, path] = self.gram[path, other]
+
+
+def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
+              t_convex: float) -> float:
+    """Return F_t without the energy of the data.
+
+    F_t = 1/2 x'Gx - h'x + t sum w_p |x_p| + 1/2 (1 - t)^2 sum of w_p^2 over paths with x_p != 0
+
+    Parameters
+    ----------
+    amplitudes, matched : array, shape (P, T)
+    gram : array, shape (P, P, T)
+    weights : array, shape (P,)
+    t_convex : float
+        t, from 1 (convex) to 0 (combinatorial).
+    """
+    norms = np.sqrt(np.einsum('pt,pt->p', amplitudes, amplitudes))
+    fit = np.einsum('pt,pqt,qt->', amplitudes, gram, amplitudes)
+    used = weights[norms > 0]
+    return float(0.5 * fit - np.sum(matched * amplitudes) + t_convex * np.sum(weights * norms)
+                 + 0.5 * (1 - t_convex)**2 * math.fsum(used**2))

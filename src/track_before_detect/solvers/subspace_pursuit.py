@@ -1,0 +1,287 @@
+"""Subspace pursuit with continuation: the convex detector (Patent, Algorithms 3-5).
+
+One objective serves the whole continuation, t from 1 (convex) to 0 (combinatorial):
+
+    F_t = 1/2 |y - A x|^2 + t sum_p w_p |x_p| + 1/2 (1 - t)^2 sum of w_p^2 over used paths,
+
+with w_p^2 = threshold^2 + cost of the turns of path p. A lone path with statistic eta lowers F_t
+by 1/2 (eta - t w)^2 and costs 1/2 (1 - t)^2 w^2, so it is worth adding exactly when eta > w,
+whatever t: one threshold serves the schedule. Every change (adding, moving, merging, removing a
+path) is accepted only when F_t falls, which is what makes each stage end; Algorithm 5 taken
+literally can swap paths for ever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.solvers.path_search import PathSearch
+from track_before_detect.solvers.path_set import PathSet
+from track_before_detect.solvers.refinement import Refiner
+from track_before_detect.types import Step
+
+# Paths added before the residual is searched again; each is tested on the residual it meets.
+MOST_NEW_PATHS = 64
+# Two paths that share this much of their energy in the mean frame may be one target.
+ALIKE = 0.3
+# A change has to lower F_t by more than the rounding of the sums.
+LEAST_GAIN = 1e-9
+
+
+@dataclass(frozen=True)
+class PursuitSettings:
+    """How long and how exactly to solve.
+
+    Attributes
+    ----------
+    continuation : sequence of float
+        Values of t, in the order they are visited.
+    tolerance : float
+        Largest relative excess of any path over the threshold at the end of the last stage.
+    stage_tolerance : float
+        The same for the stages before the last, whose solution only starts the next.
+    most_rounds : int
+        Rounds of search and fit in one stage before it is called unconverged.
+    """
+
+    continuation: Sequence[float]
+    tolerance: float = 1e-6
+    stage_tolerance: float = 0.05
+    most_rounds: int = 50
+
+
+@dataclass(frozen=True)
+class PursuitResult:
+    """Solution of the pursuit.
+
+    Attributes
+    ----------
+    paths : PathSet
+        Paths, amplitudes, residual.
+    status : str
+        ``"converged"`` or ``"iteration_limit"``.
+    history : list of Step
+        One entry for each round.
+    gap : float
+        Duality gap at the end of the stage t = 1, NaN without one.
+    """
+
+    paths: PathSet
+    status: str
+    history: list[Step]
+    gap: float
+
+
+def pursue(search: PathSearch, refiner: Refiner, paths: PathSet, separation: float,
+           settings: PursuitSettings) -> PursuitResult:
+    """Find all paths jointly.
+
+    Parameters
+    ----------
+    search : PathSearch
+        Finds the best path on a residual.
+    refiner : Refiner
+        Moves a path off the grid.
+    paths : PathSet
+        Starts empty, or with the paths of an earlier batch.
+    separation : float
+        Pixels; new paths of one search end at least this far apart.
+    settings : PursuitSettings
+        Schedule and tolerances.
+    """
+    history: list[Step] = []
+    status = 'converged'
+    gap = float('nan')
+    for number, t_convex in enumerate(settings.continuation):
+        last = number == len(settings.continuation) - 1
+        tolerance = settings.tolerance if last else settings.stage_tolerance
+        stage = _Stage(search, refiner, paths, separation, t_convex)
+        largest, finished = stage.run(tolerance, settings.most_rounds, history)
+        if not finished:
+            status = 'iteration_limit'
+        if t_convex == 1.0:
+            gap = duality_gap(paths, largest)
+    return PursuitResult(paths, status, history, gap)
+
+
+def duality_gap(paths: PathSet, largest: float) -> float:
+    """Return the duality gap of F_1 at the present amplitudes.
+
+    The residual, scaled down until no path passes its weight, is feasible for the dual; one
+    scale serves all weights w^2 = threshold^2 + cost, since costs only help once scaled.
+
+    Parameters
+    ----------
+    paths : PathSet
+        The solution.
+    largest : float
+        Largest value (squared statistic less cost) of any path on the residual.
+    """
+    scale = 1.0
+    if largest > 0:
+        scale = min(scale, paths.threshold / np.sqrt(largest))
+    left = paths.matched - np.einsum('pqt,qt->pt', paths.gram, paths.amplitudes)
+    seen = np.linalg.norm(np.maximum(left, 0), axis=1)
+    if len(paths):
+        scale = min(scale, float(np.min(paths.weights / np.maximum(seen, 1e-300))))
+    fit = np.einsum('pt,pqt,qt->', paths.amplitudes, paths.gram, paths.amplitudes)
+    cross = np.sum(paths.matched * paths.amplitudes)
+    residual_energy = paths.energy - cross + 0.5 * fit
+    data_times_residual = 2 * paths.energy - cross
+    dual = scale * data_times_residual - scale**2 * residual_energy
+    return max(0.0, paths.objective(1.0) - float(dual))
+
+
+class _Stage:
+    """The pursuit at one value of t."""
+
+    def __init__(self, search, refiner, paths, separation, t_convex):
+        self._search = search
+        self._refiner = refiner
+        self._paths = paths
+        self._separation = separation
+        self._t = t_convex
+        # A stop rule for amplitudes only, far below their noise of one.
+        self._amplitude_tolerance = 1e-7
+
+    def run(self, tolerance, most_rounds, history):
+        """Alternate between improving the paths at hand and searching for new ones."""
+        paths = self._paths
+        bound = (paths.threshold * (1 + tolerance))**2
+        largest = 0.0
+        for _ in range(most_rounds):
+            fitted = self._improve()
+            paths.refresh()
+            largest, found = self._search.best_paths(
+                paths.residual, bound, self._separation, self._is_new(bound), MOST_NEW_PATHS)
+            violation = float(np.sqrt(max(largest, 0.0))) / paths.threshold - 1
+            history.append(Step(self._t, paths.objective(self._t), len(paths), violation))
+            if not found:
+                return largest, fitted and largest <= bound
+            if not sum([self._try_adding(path) for path in found]):
+                # The best path does not lower F_t once the others are fitted with it.
+                return largest, self._t < 1
+        return largest, False
+
+    def _is_new(self, bound):
+        """Return a test for paths that still pass the threshold beside those found so far."""
+        taken = []
+
+        def is_new(positions):
+            for other in taken:
+                near = np.hypot(*(positions - other).T) < self._separation
+                if near.mean() > 0.25:
+                    return False
+            taken.append(positions)
+            return True
+
+        return is_new
+
+    def _try_adding(self, found):
+        """Add a path if it still passes its weight and F_t falls."""
+        paths = self._paths
+        if paths.statistic_of(found.positions)**2 - found.cost <= paths.threshold**2:
+            return False
+        before = paths.objective(self._t)
+        kept = paths.amplitudes.copy()
+        paths.add(found.positions, found.cost)
+        self._refine(len(paths) - 1)
+        self._fit(self._cluster_of(len(paths) - 1))
+        if paths.objective(self._t) < before - LEAST_GAIN:
+            return True
+        paths.remove(np.array([len(paths) - 1]))
+        paths.assign(np.arange(len(paths)), kept)
+        return False
+
+    def _improve(self):
+        """Fit, refine, merge and remove paths for as long as F_t falls."""
+        paths = self._paths
+        fitted = all([self._fit(members) for members in paths.clusters()])
+        self._drop_empty()
+        changed = True
+        while changed and len(paths):
+            changed = False
+            before = paths.objective(self._t)
+            order = np.argsort(np.linalg.norm(paths.amplitudes, axis=1))
+            # Paths are told apart by their arrays, for removing one renumbers the rest.
+            for positions in [paths.positions[p] for p in order]:
+                path = next((p for p, other in enumerate(paths.positions)
+                             if other is positions), None)
+                if path is None:
+                    continue
+                if self._remove_if_better(path):
+                    changed = True
+                elif self._refine(path):
+                    fitted = self._fit(self._cluster_of(path)) and fitted
+            self._drop_empty()
+            # Refinement creeps; another pass is worth it while it still gains visibly.
+            if before - paths.objective(self._t) > 0.05:
+                changed = True
+        return fitted
+
+    def _fit(self, members):
+        _, amplitudes, converged = self._paths.fitted(members, self._t,
+                                                      self._amplitude_tolerance)
+        self._paths.assign(members, amplitudes)
+        return converged
+
+    def _cluster_of(self, path):
+        return next(members for members in self._paths.clusters() if path in members)
+
+    def _drop_empty(self):
+        empty = np.flatnonzero(~np.any(self._paths.amplitudes, axis=1))
+        if len(empty):
+            self._paths.remove(empty)
+
+    def _refine(self, path):
+        """Move one path, the others fixed; True when it moved."""
+        paths = self._paths
+        positions, cost = self._refiner.refine(
+            paths.without(path), paths.positions[path], paths.costs[path], paths.threshold,
+            self._t)
+        if positions is paths.positions[path]:
+            return False
+        paths.move(path, positions, cost)
+        return True
+
+    def _remove_if_better(self, path):
+        """Remove a path, or merge it into its nearest neighbour, when that lowers F_t."""
+        paths = self._paths
+        if self._t == 1.0:
+            return False
+        members = self._cluster_of(path)
+        before, *_ = paths.fitted(members, self._t, self._amplitude_tolerance)
+        others = members[members != path]
+        after, amplitudes, _ = paths.fitted(others, self._t, self._amplitude_tolerance)
+        if after < before - LEAST_GAIN:
+            paths.assign(others, amplitudes)
+            paths.remove(np.array([path]))
+            return True
+        if not len(others):
+            return False
+        alike = paths.similarity(path)[others]
+        if alike.max() < ALIKE:
+            return False
+        return self._merge(path, int(others[np.argmax(alike)]), members, before)
+
+    def _merge(self, path, other, members, before):
+        """Let one path explain what two explained, when that lowers F_t."""
+        paths = self._paths
+        kept = (paths.amplitudes.copy(), paths.positions[other], paths.costs[other])
+        others = members[members != path]
+        paths.assign(np.array([path]), np.zeros((1, paths.amplitudes.shape[1])))
+        _, amplitudes, _ = paths.fitted(others, self._t, self._amplitude_tolerance)
+        paths.assign(others, amplitudes)
+        self._refine(other)
+        after, amplitudes, _ = paths.fitted(others, self._t, self._amplitude_tolerance)
+        if after < before - LEAST_GAIN:
+            paths.assign(others, amplitudes)
+            paths.remove(np.array([path]))
+            return True
+        paths.move(other, kept[1], kept[2])
+        paths.assign(np.arange(len(paths)), kept[0])
+        return False

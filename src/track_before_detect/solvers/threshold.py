@@ -1,0 +1,146 @@
+"""The threshold that a requested false alarm rate asks for, found by searching noise.
+
+The largest value of any path in pure noise is simulated on crops of the frame. Crops are
+independent and alike, so the number of false paths in a frame is Poisson with a mean that grows
+with the effective area; the tail of the crop maxima is exponential beyond its upper quarter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+import hashlib
+import logging
+import os
+from pathlib import Path
+import tempfile
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.state_graph import StateGraph
+from track_before_detect.solvers.path_search import PathSearch
+
+_LOG = logging.getLogger(__name__)
+
+CROP_PX = 64
+N_CROPS = 1000
+# Share of the crop maxima that the exponential tail is fitted to.
+TAIL = 0.25
+SEED = 20240720
+# Part of the key of every cached calibration: change it when the search gives other values.
+REVISION = 1
+
+Progress = Callable[[str, float], None]
+
+
+def threshold_for(graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int], rate: float,
+                  progress: Progress | None = None) -> float:
+    """Return the threshold on the statistic for a false alarm rate.
+
+    Parameters
+    ----------
+    graph : StateGraph
+        The paths that are searched.
+    psf : GaussianPsf
+        What a target looks like.
+    shape : tuple of int
+        (H, W) of the frames.
+    rate : float
+        Probability that a batch of pure noise holds a path above the threshold.
+    progress : callable, optional
+        Called with a label and the share done, 0 to 1.
+    """
+    crop = (min(shape[0], CROP_PX), min(shape[1], CROP_PX))
+    maxima = _noise_maxima(graph, psf, crop, progress)
+    areas = effective_area(graph, shape) / effective_area(graph, crop)
+    return float(np.sqrt(_tail_value(maxima, -np.log1p(-rate) / areas)))
+
+
+def effective_area(graph: StateGraph, shape: tuple[int, int]) -> float:
+    """Return the number of pixels in which a straight path can start and stay inside."""
+    span = np.zeros(2)
+    extent = graph.step_px * np.abs(graph.end_moves.sum(axis=0))
+    room = np.maximum(np.array([shape[1], shape[0]]) - extent, span + 0.5)
+    return float(np.mean(room[:, 0] * room[:, 1]))
+
+
+def _tail_value(maxima, mean_count):
+    """Value that ``mean_count`` paths in a crop pass on average."""
+    ordered = np.sort(maxima)
+    start = np.quantile(ordered, 1 - TAIL)
+    if mean_count > -np.log1p(-TAIL):
+        return float(np.quantile(ordered, np.exp(-mean_count)))
+    scale = float(np.mean(ordered[ordered > start]) - start)
+    return float(start) + scale * float(np.log(-np.log1p(-TAIL) / mean_count))
+
+
+def _noise_maxima(graph, psf, crop, progress):
+    """Return the largest path value of each crop of noise, from the cache where it is known."""
+    path = _cache_folder() / f'noise-{_key(graph, psf, crop)}.npy'
+    try:
+        maxima = np.load(path, allow_pickle=False)
+        if maxima.shape == (N_CROPS,) and np.all(np.isfinite(maxima)):
+            return maxima
+    except (OSError, ValueError, EOFError):
+        pass
+    maxima = _simulate(graph, psf, crop, progress)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            np.save(file, maxima)
+        os.replace(file.name, path)
+    except OSError as error:
+        _LOG.warning('the threshold calibration could not be kept for the next run: %s', error)
+    return maxima
+
+
+def _simulate(graph, psf, crop, progress):
+    """Search crops of noise on all cores; each crop has its own seed, so order is no matter."""
+    local = threading.local()
+    done = 0
+    lock = threading.Lock()
+    seeds = np.random.SeedSequence(SEED).spawn(N_CROPS)
+
+    def largest(seed):
+        nonlocal done
+        if not hasattr(local, 'search'):
+            local.search = PathSearch(graph, psf, crop)
+        noise = np.random.default_rng(seed).standard_normal(
+            (graph.n_frames, *crop), dtype=np.float32)
+        value = local.search.best_value(noise)
+        with lock:
+            done += 1
+            if progress is not None and done % 10 == 0:
+                progress('calibrating the threshold on noise', done / N_CROPS)
+        return value
+
+    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+        return np.array(list(pool.map(largest, seeds)))
+
+
+def _key(graph, psf, crop):
+    digest = hashlib.sha256()
+    for array in (graph.knots, graph.row_first, graph.row_x, graph.moves, graph.end_moves):
+        digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
+    digest.update(repr((REVISION, N_CROPS, SEED, crop, psf, graph.reach, graph.turn_cost,
+                        graph.step_px)).encode())
+    return digest.hexdigest()[:24]
+
+
+def _cache_folder() -> Path:
+    base = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
+    return Path(base) / 'track_before_detect'
+
+
+def regular_stamps(stamps: NDArray) -> NDArray[np.float64]:
+    """Return stamps with their intervals rounded to quarters of the median interval, in units
+    of it, so that the jitter of a clock does not ask for a calibration of its own.
+    """
+    if len(stamps) < 2:
+        return np.zeros(len(stamps))
+    intervals = np.diff(stamps)
+    quarters = np.maximum(np.rint(4 * intervals / np.median(intervals)), 1) / 4
+    return np.append(0.0, np.cumsum(quarters))

@@ -1,0 +1,134 @@
+"""Frames in, trajectories out: what the node and the command run, without ROS."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from track_before_detect.errors import DataError
+from track_before_detect.options import DetectorOptions
+from track_before_detect.preprocess.chain import prepare, PreparedBatch
+from track_before_detect.solvers.convex import ConvexDetector, FoundTrajectory
+from track_before_detect.tracking.stitcher import Stitcher
+from track_before_detect.types import DetectionResult, FrameBatch, Trajectory
+
+Progress = Callable[[str, float], None]
+
+
+class TrackingPipeline:
+    """Preprocessing, detection and identities over successive batches.
+
+    Parameters
+    ----------
+    options : DetectorOptions
+        What to look for and how.
+    """
+
+    def __init__(self, options: DetectorOptions):
+        self._options = options
+        self._detector = ConvexDetector(options)
+        self._stitcher = Stitcher(options.psf_sigma_px)
+
+    def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
+                progress: Progress | None = None) -> float:
+        """Compile every kernel and calibrate the threshold before the first batch.
+
+        Parameters
+        ----------
+        shape : tuple of int
+            (H, W) of the frames.
+        interval_s : float
+            Seconds between frames.
+        n_frames : int
+            Frames of a batch.
+        progress : callable, optional
+            Called with a label and the share done, 0 to 1.
+
+        Returns
+        -------
+        float
+            The threshold on the statistic.
+        """
+        if progress is not None:
+            progress('compiling', 0.0)
+        self._compile(progress)
+        if progress is not None:
+            progress('compiling', 1.0)
+        return self._detector.threshold(interval_s * np.arange(n_frames), shape, progress)
+
+    def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
+        """Find the trajectories of a batch.
+
+        Parameters
+        ----------
+        batch : FrameBatch
+            Frames as they came.
+        progress : callable, optional
+            Told of a calibration.
+
+        Returns
+        -------
+        DetectionResult
+            Positions in pixels of the original frames, amplitudes in units of the input, ids as
+            in the batches before.
+        """
+        _check(batch)
+        prepared = prepare(batch, self._options)
+        result = self._detector.detect(prepared.frames, prepared.stamps, progress)
+        trajectories = [_in_original_frames(found, prepared) for found in result.found]
+        return DetectionResult(self._stitcher.link(trajectories), result.threshold,
+                               result.status, result.history, result.gap)
+
+    def reset(self) -> None:
+        """Forget identities and earlier batches."""
+        self._stitcher.reset()
+
+    def _compile(self, progress):
+        """Run every kernel once, on a target bright enough to pass through all stages."""
+        options = self._options.replace(
+            threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None)
+        frames = np.random.default_rng(0).standard_normal((8, 24, 24)).astype(np.float32)
+        frames[:, 10:13, 10:13] += 8
+        stamps = np.arange(8.0)
+        detector = ConvexDetector(options)
+        detector.detect(frames, stamps)
+        if progress is not None:
+            progress('compiling', 0.5)
+        frames[:, 0, 0] = np.nan
+        detector.detect(frames, stamps)
+
+
+def _check(batch):
+    """Refuse a batch that cannot be searched, before anything is computed."""
+    frames, stamps = np.asarray(batch.frames), np.asarray(batch.stamps)
+    if frames.ndim != 3 or 0 in frames.shape:
+        raise DataError(
+            f'frames must have shape (T, H, W) with no empty side, got {frames.shape}')
+    if np.iscomplexobj(frames):
+        raise DataError('frames must be real, got complex numbers: pass their magnitude')
+    if stamps.shape != (len(frames),):
+        raise DataError(f'stamps must have shape ({len(frames)},), got {stamps.shape}')
+    if not np.all(np.isfinite(stamps)):
+        raise DataError(f'stamps must be finite, got {stamps[~np.isfinite(stamps)][0]}')
+    backward = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(backward):
+        at = int(backward[0])
+        raise DataError(f'stamps must increase, got {stamps[at]:g} s and then '
+                        f'{stamps[at + 1]:g} s at frame {at + 1}')
+
+
+def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch) -> Trajectory:
+    """Return a trajectory in the pixels and units of the frames as they came."""
+    positions = found.positions + prepared.offsets
+    n_frames, height, width = prepared.frames.shape
+    level = np.broadcast_to(prepared.noise_level, (n_frames, height, width))
+    x = np.clip(np.rint(found.positions[:, 0]).astype(int), 0, width - 1)
+    y = np.clip(np.rint(found.positions[:, 1]).astype(int), 0, height - 1)
+    amplitudes = found.amplitudes * np.nan_to_num(level[np.arange(n_frames), y, x], nan=0.0)
+    if n_frames > 1:
+        velocity = np.gradient(positions, prepared.stamps, axis=0)
+    else:
+        velocity = np.zeros_like(positions)
+    return Trajectory(0, positions, amplitudes, velocity, prepared.stamps,
+                      prepared.frame_indices, found.statistic, found.snr)

@@ -1,0 +1,121 @@
+"""Detection in a whole recording: overlapping batches, one trajectory for each identity."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.options import DetectorOptions
+from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.types import DetectionResult, FrameBatch, Step, Trajectory
+
+Progress = Callable[[str, float], None]
+
+
+class FrameSource(Protocol):
+    """What a recording has to offer; see the readers of the room ``recordings``."""
+
+    @property
+    def stamps(self) -> NDArray[np.float64]:
+        """Seconds, shape (T,)."""
+
+    def __len__(self) -> int:
+        """Return the number of frames."""
+
+    def __getitem__(self, index: int) -> NDArray:
+        """Return one frame, shape (H, W)."""
+
+
+def batch_starts(n_frames: int, length: int, hop: int) -> list[int]:
+    """Return the first frame of each batch; the last batch ends with the last frame."""
+    if n_frames <= length:
+        return [0]
+    starts = list(range(0, n_frames - length + 1, hop))
+    if starts[-1] + length < n_frames:
+        starts.append(n_frames - length)
+    return starts
+
+
+def detect_recording(recording: FrameSource, options: DetectorOptions,
+                     progress: Progress | None = None) -> DetectionResult:
+    """Find all trajectories of a recording.
+
+    Parameters
+    ----------
+    recording : FrameSource
+        Read frame by frame; at most one batch is held.
+    options : DetectorOptions
+        ``batch_length`` None takes the whole recording as one batch, ``hop`` None half a batch.
+    progress : callable, optional
+        Called with a label and the share done, 0 to 1.
+
+    Returns
+    -------
+    DetectionResult
+        One trajectory for each identity, its rows over all frames of the recording, NaN where
+        it is absent; the threshold is the largest of any batch.
+    """
+    n_frames = len(recording)
+    length = min(options.batch_length or n_frames, n_frames)
+    hop = min(options.hop or max(1, length // 2), length)
+    starts = batch_starts(n_frames, length, hop)
+    stamps = np.asarray(recording.stamps, float)
+    pipeline = TrackingPipeline(options)
+    joined = _Joined(stamps)
+    history: list[Step] = []
+    status, threshold, gap = 'converged', 0.0, float('nan')
+    held: dict[int, NDArray] = {}
+    for number, start in enumerate(starts):
+        held = {index: held[index] if index in held else np.asarray(recording[index])
+                for index in range(start, start + length)}
+        indices = np.arange(start, start + length)
+        batch = FrameBatch(np.stack([held[index] for index in indices]), stamps[indices], indices)
+        result = pipeline.process(batch, progress)
+        joined.add(result.trajectories)
+        history += result.history
+        threshold = max(threshold, result.threshold)
+        gap = float(np.fmax(gap, result.gap))
+        if result.status != 'converged':
+            status = result.status
+        if progress is not None:
+            progress('searching', (number + 1) / len(starts))
+    return DetectionResult(joined.trajectories(), threshold, status, history, gap)
+
+
+class _Joined:
+    """Trajectories over all frames, each frame from the batch that holds it deepest inside."""
+
+    def __init__(self, stamps):
+        self._stamps = stamps
+        self._parts: dict[int, list[Trajectory]] = {}
+
+    def add(self, trajectories):
+        for trajectory in trajectories:
+            self._parts.setdefault(trajectory.id, []).append(trajectory)
+
+    def trajectories(self):
+        joined = [self._join(parts) for parts in self._parts.values()]
+        return sorted(joined, key=lambda trajectory: -trajectory.statistic)
+
+    def _join(self, parts):
+        n_frames = len(self._stamps)
+        depth = np.full(n_frames, -1)
+        positions = np.full((n_frames, 2), np.nan)
+        velocity = np.full((n_frames, 2), np.nan)
+        amplitudes = np.full(n_frames, np.nan)
+        for part in parts:
+            own = np.arange(len(part.frame_indices))
+            inside = np.minimum(own, own[::-1])
+            better = inside > depth[part.frame_indices]
+            rows = part.frame_indices[better]
+            depth[rows] = inside[better]
+            positions[rows] = part.positions[better]
+            velocity[rows] = part.velocity[better]
+            amplitudes[rows] = part.amplitudes[better]
+        best = max(parts, key=lambda part: part.statistic)
+        return Trajectory(best.id, positions, amplitudes, velocity, self._stamps,
+                          np.arange(n_frames), best.statistic,
+                          float(np.mean([part.snr for part in parts])))

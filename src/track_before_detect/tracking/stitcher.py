@@ -1,0 +1,94 @@
+"""Give trajectories of successive batches the identity they had before."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from track_before_detect.types import Trajectory
+
+# Pixels between two sightings of one target in the same frame, in units of the PSF's sigma.
+SAME_FRAME_GATE = 3.0
+
+
+@dataclass
+class _Known:
+    """Newest sighting of an identity."""
+
+    trajectory: Trajectory
+    batches_ago: int = 0
+
+
+class Stitcher:
+    """Keeps identities over overlapping or adjoining batches.
+
+    Two trajectories are one target when their mean distance over the frames both saw is within
+    the gate. Where they saw no frame in common the older one is carried on at its last velocity,
+    with a gate that grows by one sigma of the PSF for each frame between.
+
+    Parameters
+    ----------
+    sigma_px : float
+        Of the point spread function.
+    memory : int
+        Batches that an identity is remembered for without being seen.
+    """
+
+    def __init__(self, sigma_px: float, memory: int = 2):
+        self._gate = SAME_FRAME_GATE * max(sigma_px, 1.0)
+        self._slack = max(sigma_px, 1.0)
+        self._memory = memory
+        self._known: list[_Known] = []
+        self._next_id = 1
+
+    def reset(self) -> None:
+        """Forget all identities; numbering goes on, so that no id is used twice."""
+        self._known = []
+
+    def link(self, trajectories: list[Trajectory]) -> list[Trajectory]:
+        """Return the trajectories of one batch with their ids set."""
+        excess = np.full((len(self._known), len(trajectories)), np.inf)
+        for i, known in enumerate(self._known):
+            for j, trajectory in enumerate(trajectories):
+                excess[i, j] = self._distance_over_gate(known.trajectory, trajectory)
+        cost = np.minimum(excess, 2.0)
+        ids: dict[int, int] = {}
+        for i, j in zip(*linear_sum_assignment(cost), strict=True):
+            if excess[i, j] <= 1.0:
+                ids[int(j)] = self._known[i].trajectory.id
+        named = []
+        for j, trajectory in enumerate(trajectories):
+            if j not in ids:
+                ids[j] = self._next_id
+                self._next_id += 1
+            named.append(replace(trajectory, id=ids[j]))
+        seen = {trajectory.id for trajectory in named}
+        self._known = [_Known(trajectory) for trajectory in named] + [
+            _Known(known.trajectory, known.batches_ago + 1) for known in self._known
+            if known.trajectory.id not in seen and known.batches_ago + 1 < self._memory]
+        return named
+
+    def _distance_over_gate(self, older, newer):
+        common, in_older, in_newer = np.intersect1d(
+            older.frame_indices, newer.frame_indices, return_indices=True)
+        if len(common):
+            distance = _distances(older.positions[in_older], newer.positions[in_newer])
+            if np.isfinite(distance).any():
+                return float(np.nanmean(distance)) / self._gate
+        present_older = np.flatnonzero(np.isfinite(older.positions[:, 0]))
+        present_newer = np.flatnonzero(np.isfinite(newer.positions[:, 0]))
+        if not (len(present_older) and len(present_newer)):
+            return np.inf
+        last, first = present_older[-1], present_newer[0]
+        elapsed = newer.stamps[first] - older.stamps[last]
+        frames = max(1, int(newer.frame_indices[first] - older.frame_indices[last]))
+        expected = older.positions[last] + older.velocity[last] * elapsed
+        distance = _distances(expected, newer.positions[first])
+        return float(distance) / (self._gate + self._slack * frames)
+
+
+def _distances(a: NDArray, b: NDArray) -> NDArray:
+    return np.hypot(a[..., 0] - b[..., 0], a[..., 1] - b[..., 1])
