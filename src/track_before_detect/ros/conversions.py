@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Iterable, Mapping
+import math
 
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, PoseStamped
@@ -50,8 +51,10 @@ def seconds_from_time(stamp: Time) -> float:
 
 def time_from_seconds(seconds: float) -> Time:
     """Return the time stamp nearest to ``seconds``."""
-    total = round(seconds * 1e9)
-    sec, nanosec = divmod(total, 10**9)
+    whole = math.floor(seconds)
+    # The product of the whole number and 1e9 would not fit the digits of a double.
+    carry, nanosec = divmod(round((seconds - whole) * 1e9), 10**9)
+    sec = whole + carry
     if not -2**31 <= sec < 2**31:
         raise DataError(f'a time stamp must be within 2^31 s of zero, got {seconds:g} s')
     return Time(sec=sec, nanosec=nanosec)

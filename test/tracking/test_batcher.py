@@ -1,0 +1,130 @@
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.tracking.batcher import Outcome, SlidingWindow
+
+SHAPE = (3, 4)
+
+
+def frame(value, shape=SHAPE):
+    return np.full(shape, value, np.float32)
+
+
+def feed(window, stamps, first_index=0):
+    """Add frames whose pixels are their index; return what was answered."""
+    return [window.add(frame(first_index + k), stamp, first_index + k)
+            for k, stamp in enumerate(stamps)]
+
+
+def batches_of(intakes):
+    return [intake.batch for intake in intakes if intake.batch is not None]
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.integers(1, 12), st.data())
+def test_every_frame_is_in_a_batch_once_the_stream_is_flushed(length, data):
+    hop = data.draw(st.integers(1, length))
+    n_frames = data.draw(st.integers(0, 40))
+    window = SlidingWindow(length, hop)
+    batches = batches_of(feed(window, 0.1 * np.arange(n_frames)))
+    tail = window.flush()
+    if tail is not None:
+        batches.append(tail)
+    seen = {int(index) for batch in batches for index in batch.frame_indices}
+    assert seen == set(range(n_frames))
+    assert window.flush() is None
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.integers(1, 12), st.data())
+def test_batches_have_the_length_and_start_a_hop_apart(length, data):
+    hop = data.draw(st.integers(1, length))
+    batches = batches_of(feed(SlidingWindow(length, hop), 0.1 * np.arange(50)))
+    assert len(batches) == (50 - length) // hop + 1
+    for number, batch in enumerate(batches):
+        np.testing.assert_array_equal(batch.frame_indices, number * hop + np.arange(length))
+        np.testing.assert_allclose(batch.stamps, 0.1 * batch.frame_indices)
+        np.testing.assert_array_equal(batch.frames[:, 0, 0], batch.frame_indices)
+
+
+def test_no_more_than_a_batch_of_frames_is_held():
+    window = SlidingWindow(5, 5)
+    feed(window, np.arange(1000.0))
+    assert len(window) == 5
+
+
+def test_a_batch_does_not_change_with_the_frames_that_follow():
+    window = SlidingWindow(3, 1)
+    batch = batches_of(feed(window, [0.0, 1.0, 2.0]))[0]
+    feed(window, [3.0, 4.0], first_index=3)
+    np.testing.assert_array_equal(batch.frames[:, 0, 0], [0, 1, 2])
+
+
+@pytest.mark.parametrize('stamp', [3.0, 2.5], ids=['repeated', 'slightly backward'])
+def test_a_repeated_or_slightly_backward_stamp_is_refused_with_a_reason(stamp):
+    window = SlidingWindow(4, 2)
+    feed(window, [0.0, 1.0, 2.0, 3.0])
+    intake = window.add(frame(9), stamp, 9)
+    assert intake.outcome is Outcome.REFUSED
+    assert intake.batch is None
+    assert 'expected a stamp after 3.0' in intake.reason
+    # The window is as it was: two more frames complete the next batch.
+    batch = batches_of(feed(window, [4.0, 5.0], first_index=4))[0]
+    np.testing.assert_array_equal(batch.stamps, [2.0, 3.0, 4.0, 5.0])
+
+
+def test_a_looped_recording_gives_its_tail_and_starts_again():
+    window = SlidingWindow(4, 4)
+    first = batches_of(feed(window, [10.0, 11.0, 12.0, 13.0, 14.0]))
+    intake = window.add(frame(5), 10.0, 5)
+    assert len(first) == 1
+    assert intake.outcome is Outcome.JUMP_BACK
+    assert 'jump back' in intake.reason
+    np.testing.assert_array_equal(intake.batch.stamps, [11.0, 12.0, 13.0, 14.0])
+    assert len(window) == 1
+    again = batches_of(feed(window, [11.0, 12.0, 13.0], first_index=6))
+    np.testing.assert_array_equal(again[0].frame_indices, [5, 6, 7, 8])
+
+
+def test_a_recording_shorter_than_the_window_that_loops_starts_again():
+    window = SlidingWindow(20, 10)
+    feed(window, [0.0, 1.0, 2.0])
+    assert window.add(frame(3), 0.0, 3).outcome is Outcome.JUMP_BACK
+
+
+def test_a_change_of_size_starts_the_window_again():
+    window = SlidingWindow(4, 2)
+    feed(window, [0.0, 1.0])
+    intake = window.add(frame(2, (5, 6)), 2.0, 2)
+    assert intake.outcome is Outcome.SIZE_CHANGE
+    assert '3 x 4' in intake.reason and '5 x 6' in intake.reason
+    assert intake.batch.frames.shape == (2, *SHAPE)
+    assert window.shape == (5, 6)
+
+
+def test_a_long_gap_starts_the_window_again_and_a_dropped_frame_does_not():
+    window = SlidingWindow(4, 2)
+    feed(window, [0.0, 1.0, 2.0])
+    assert window.add(frame(3), 4.0, 3).outcome is Outcome.ACCEPTED
+    assert window.add(frame(4), 9.0, 4).outcome is Outcome.GAP
+
+
+def test_the_longest_gap_can_be_given():
+    window = SlidingWindow(4, 2, max_gap_s=0.5)
+    feed(window, [0.0, 0.1])
+    assert window.add(frame(2), 0.7, 2).outcome is Outcome.GAP
+
+
+def test_a_window_of_one_frame_releases_each_frame():
+    batches = batches_of(feed(SlidingWindow(1, 1), [0.0, 1.0, 0.5]))
+    assert [batch.stamps.tolist() for batch in batches] == [[0.0], [1.0], [0.5]]
+
+
+@pytest.mark.parametrize(('length', 'hop', 'gap'), [(0, 1, None), (4, 0, None), (4, 5, None),
+                                                    (4, 2, 0.0)])
+def test_a_window_that_makes_no_sense_is_refused(length, hop, gap):
+    with pytest.raises(ParameterError):
+        SlidingWindow(length, hop, gap)
