@@ -56,7 +56,7 @@ fail() {
 interrupted() {
     trap '' INT TERM HUP
     if [[ -n $child ]]; then
-        kill -TERM "$child" 2>/dev/null || true
+        kill -TERM -- "-$child" 2>/dev/null || true
         wait "$child" 2>/dev/null || true
     fi
     printf '\nros2_ws_setup: interrupted; run it again to go on\n' >&2
@@ -75,7 +75,7 @@ disk_full() {
 explain_failure() {
     local title=$1 code=$2 output=$3 missing
     printf '\n' >&2
-    tail -n 12 <<<"$output" | sed 's/^/    /' >&2
+    tail -n 12 <<<"$output" | cut -c 1-160 | sed 's/^/    /' >&2
     if grep -qE 'No space left on device|Disk quota exceeded' <<<"$output"; then
         disk_full
     fi
@@ -102,8 +102,11 @@ run_step() {
     log_start=$(wc -c <"$log_file")
     [[ -t 1 ]] || say "$head ..."
     # The lock must end with this script, not with a process that outlives it.
+    # Job control gives it a process group, so that an interrupt ends what it started as well.
+    set -m
     "$@" >>"$log_file" 2>&1 </dev/null 9>&- &
     child=$!
+    set +m
     while kill -0 "$child" 2>/dev/null; do
         waited=$((SECONDS - began))
         if [[ -t 1 ]]; then
