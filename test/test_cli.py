@@ -44,7 +44,9 @@ def stand_in(monkeypatch):
         calls.options = options
         progress('calibrating', 0.0)
         progress('calibrating', 1.0)
-        progress('searching', 0.5)
+        for _ in range(2):
+            progress('calibrating', 1.0)
+            progress('searching', 0.5)
         if calls.error is not None:
             raise calls.error
         n_frames = len(recording)

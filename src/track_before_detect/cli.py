@@ -400,6 +400,7 @@ class _Progress:
     def __init__(self, stream: TextIO):
         self._stream = stream
         self._label = ''
+        self._announced: set[str] = set()
         self._bar: Any = None
         self._new_bar: Callable[..., Any] | None = None
         if stream.isatty() and importlib.util.find_spec('tqdm') is not None:
@@ -418,7 +419,10 @@ class _Progress:
             self._close()
             self._label = label
             if self._new_bar is None:
-                print(f'tbd: {label}', file=self._stream, flush=True)
+                # Every batch may go through the same tasks again.
+                if label not in self._announced:
+                    print(f'tbd: {label}', file=self._stream, flush=True)
+                    self._announced.add(label)
             else:
                 self._bar = self._new_bar(
                     total=1.0, desc=label, file=self._stream, leave=False,
