@@ -49,7 +49,7 @@ class DetectorOptions:
         'median frame interval.', kind='number', unit='px/s', minimum=0.0, optional=True)
     max_acceleration_px_s2: float | None = _option(
         None, 'Largest acceleration of a target; automatic lets the velocity change by the '
-        'maximum speed within 20 median frame intervals.', kind='number', unit='px/s^2',
+        'maximum speed within 30 median frame intervals.', kind='number', unit='px/s^2',
         minimum=0.0, optional=True)
     motion_model: str = _option(
         'nearly_constant_velocity', 'Which motions are searched.', kind='text',
@@ -74,7 +74,7 @@ class DetectorOptions:
         choices=('none', 'translation'))
     background: str = _option(
         'none', 'How the background is removed.', kind='text',
-        choices=('none', 'temporal_median'))
+        choices=('none', 'temporal_median', 'spatial_median', 'temporal_spatial_median'))
     noise: str = _option(
         'none', 'How the noise level is found: none takes a standard deviation of 1, robust '
         'estimates one number per frame, map one per pixel.', kind='text',

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from track_before_detect.preprocess.registration import shift_fraction
 
@@ -26,18 +27,23 @@ def temporal_median(frames: NDArray) -> NDArray:
     array, shape (H, W)
         The median, NaN where fewer than a third of the frames are finite.
     """
-    n_frames = len(frames)
-    ordered = np.ascontiguousarray(np.moveaxis(frames, 0, -1))
+    return _sorted_median(np.moveaxis(frames, 0, -1), _LEAST_SHARE)
+
+
+def _sorted_median(values, least_share=0.0):
+    """Return the median over the last axis, NaN where too small a share is finite."""
+    ordered = np.array(values, order='C')
     ordered[~np.isfinite(ordered)] = np.nan
     # NaN sorts behind every number
     ordered.sort(axis=-1)
-    count = n_frames - np.isnan(ordered).sum(axis=-1)
-    if np.all(count == n_frames):
-        return 0.5 * (ordered[..., (n_frames - 1) // 2] + ordered[..., n_frames // 2])
+    size = ordered.shape[-1]
+    count = size - np.isnan(ordered).sum(axis=-1)
+    if np.all(count == size):
+        return 0.5 * (ordered[..., (size - 1) // 2] + ordered[..., size // 2])
     low = np.take_along_axis(ordered, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)
     high = np.take_along_axis(ordered, count[..., None] // 2, axis=-1)
     median = 0.5 * (low + high)[..., 0]
-    median[count < _LEAST_SHARE * n_frames] = np.nan
+    median[count < max(least_share * size, 1)] = np.nan
     return median
 
 
@@ -71,6 +77,60 @@ def remove_temporal_median(frames: NDArray, fractions: NDArray) -> NDArray:
         residual[index] = frame - shift_fraction(background, -fractions[index])
         residual[index] -= _level(residual[index])
     return residual
+
+
+def remove_spatial_median(frames: NDArray, mesh_px: int) -> NDArray:
+    """Take slow changes over the image off each frame.
+
+    The median of each cell of a mesh, interpolated between the centres of the cells. Of use
+    after the temporal median when the camera pans under the shading of its lens, and alone when
+    targets hover.
+
+    Parameters
+    ----------
+    frames : array, shape (T, H, W)
+        Real frames, NaN where masked.
+    mesh_px : int
+        Side of a cell in pixels; a target must cover well under half of a cell.
+
+    Returns
+    -------
+    array, shape (T, H, W)
+        Frames without slow changes, NaN where masked.
+    """
+    n_frames, height, width = frames.shape
+    rows, columns = -(-height // mesh_px), -(-width // mesh_px)
+    padded = np.full((n_frames, rows * mesh_px, columns * mesh_px), np.nan, dtype=frames.dtype)
+    padded[:, :height, :width] = frames
+    cells = padded.reshape(n_frames, rows, mesh_px, columns, mesh_px)
+    cells = np.moveaxis(cells, 3, 2).reshape(n_frames, rows, columns, mesh_px * mesh_px)
+    along_y, along_x = _interpolation(height, mesh_px), _interpolation(width, mesh_px)
+    residual = np.empty_like(frames)
+    for index, frame in enumerate(frames):
+        mesh = _filled(_sorted_median(cells[index]))
+        residual[index] = frame - along_y @ mesh @ along_x.T
+    return residual
+
+
+def _filled(mesh):
+    """Return the mesh with every NaN replaced by the nearest number, or by 0 without any."""
+    missing = np.isnan(mesh)
+    if missing.all():
+        return np.zeros_like(mesh)
+    if not missing.any():
+        return mesh
+    nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
+    return mesh[tuple(nearest)]
+
+
+def _interpolation(length, mesh_px):
+    """Return the matrix, shape (length, cells), of linear interpolation between cell centres."""
+    n_cells = -(-length // mesh_px)
+    # the last cell may be cut by the border
+    edges = np.minimum(np.arange(n_cells + 1) * mesh_px, length)
+    centres = 0.5 * (edges[:-1] + edges[1:] - 1)
+    columns = [np.interp(np.arange(length), centres, unit) for unit in np.eye(n_cells)]
+    return np.array(columns, dtype=np.float32).T
 
 
 def _level(difference):

@@ -10,12 +10,22 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.preprocess.background import remove_temporal_median
-from track_before_detect.preprocess.noise import frame_level, pixel_level
+from track_before_detect.preprocess.background import (
+    remove_spatial_median,
+    remove_temporal_median,
+)
+from track_before_detect.preprocess.noise import (
+    correlation_factor,
+    frame_level,
+    pixel_level,
+)
 from track_before_detect.preprocess.registration import register_translation, shift_whole
 from track_before_detect.types import FrameBatch
 
 _QUANTISED_FLOOR = 0.3  # of a grey level: rounding alone adds 1/sqrt(12)
+
+_LEAST_MESH_PX = 12  # cells this small follow the shading of a lens under a panning camera
+_MESH_SIGMAS = 8  # side of a cell, of which a target must cover little
 
 _logger = logging.getLogger(__name__)
 
@@ -71,9 +81,14 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
     raw = np.asarray(batch.frames)
     frames = _checked_frames(raw, batch)
     n_frames = len(frames)
-    if np.iscomplexobj(frames) and options.registration != 'none':
-        raise ParameterError(
-            f'registration must be none for complex frames, got {options.registration!r}')
+    if np.iscomplexobj(frames):
+        if options.registration != 'none':
+            raise ParameterError(
+                f'registration must be none for complex frames, got {options.registration!r}')
+        if options.background not in ('none', 'temporal_median'):
+            raise ParameterError(
+                'background must be none or temporal_median for complex frames, got '
+                f'{options.background!r}')
 
     offsets = np.zeros((n_frames, 2))
     if options.registration == 'translation':
@@ -94,8 +109,10 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
     # a complex pixel is two real ones with half the variance each
     is_complex = np.iscomplexobj(frames)
     parts = frames.view(np.float32) if is_complex else frames
-    if options.background == 'temporal_median':
+    if options.background in ('temporal_median', 'temporal_spatial_median'):
         parts = remove_temporal_median(parts, fractions)
+    if options.background in ('spatial_median', 'temporal_spatial_median'):
+        parts = remove_spatial_median(parts, _mesh_px(options.psf_sigma_px))
     floor = _QUANTISED_FLOOR if np.issubdtype(raw.dtype, np.integer) else 0.0
     level = _noise_level(parts, options.noise, floor)
     if is_complex:
@@ -105,11 +122,16 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
             level = np.sqrt(0.5 * (level[..., 0::2] ** 2 + level[..., 1::2] ** 2))
     else:
         frames = parts
-    if options.noise != 'none':
+    if options.noise == 'none':
+        level = np.ones((1, 1, 1))
+    else:
         frames = frames / level.astype(np.float32)
+        if not is_complex:
+            factor = correlation_factor(frames, options.psf_sigma_px)
+            frames, level = frames / np.float32(factor), level * factor
     return PreparedBatch(
         frames, np.array(batch.stamps, dtype=np.float64), np.array(batch.frame_indices),
-        level if options.noise != 'none' else np.ones((1, 1, 1)), whole, fractions)
+        level, whole, fractions)
 
 
 def _checked_frames(raw, batch):
@@ -129,8 +151,13 @@ def _checked_frames(raw, batch):
         masked = ~np.isfinite(frames)
         if masked.all():
             raise DataError(f'no pixel of the {len(raw)} frames is finite')
-        frames[masked] = np.nan
+        frames[masked] = complex(np.nan, np.nan) if kind is np.complex64 else np.nan
     return frames
+
+
+def _mesh_px(psf_sigma_px):
+    """Return a cell side of which a target covers little."""
+    return max(_LEAST_MESH_PX, round(_MESH_SIGMAS * psf_sigma_px))
 
 
 def _noise_level(parts, method, floor):

@@ -10,6 +10,8 @@ _CUTOFF = 9.0  # median absolute deviations beyond which a value has no weight
 _GAUSSIAN = 1.00918  # what the estimate says of unit Gaussian noise
 _ENOUGH = 200_000  # values tell the deviation to 0.2 %
 _FLOOR_SPREAD = 5 / 3  # half a grey level at the floor of whole numbers, whose median can be 0
+_SIGNIFICANT = 3.0  # deviations by which noise must differ from white
+_FRAMES_LOOKED_AT = 8
 _SMOOTHING_PX = 5  # side of the box over which the variance map is averaged
 
 
@@ -98,8 +100,46 @@ def pixel_level(frames: NDArray, floor: float = 0.0) -> NDArray:
     weight = ndimage.uniform_filter(known.astype(np.float64), _SMOOTHING_PX, mode='nearest')
     mean = ndimage.uniform_filter(np.where(known, variance, 0.0).astype(np.float64),
                                   _SMOOTHING_PX, mode='nearest')
-    level = np.sqrt(np.where(known, mean / np.maximum(weight, 1e-9), np.nan))
+    # the running sums of the filter may end a rounding error below 0
+    mean = np.maximum(mean, 0.0) / np.maximum(weight, 1e-9)
+    level = np.sqrt(np.where(known, mean, np.nan))
     overall = robust_deviation(centred, floor)
     level = np.maximum(level, max(floor, 1e-3 * overall))
     scale = robust_deviation(centred / level)
     return np.maximum(level * (scale or 1.0), floor)[None]
+
+
+def correlation_factor(frames: NDArray, psf_sigma_px: float) -> float:
+    """Return how much stronger the noise is at the scale of a target than if it were white.
+
+    Compression and what is left of the background correlate the noise of neighbouring pixels.
+    The matched filter then sees more of it than the deviation of a pixel says, and dividing by
+    this factor as well gives its output unit variance again.
+
+    Parameters
+    ----------
+    frames : array, shape (T, H, W)
+        Real frames in units of the noise standard deviation, NaN where masked.
+    psf_sigma_px : float
+        Standard deviation of the Gaussian point spread function in pixels.
+
+    Returns
+    -------
+    float
+        Robust deviation of the matched filter's output; 1 unless it is clearly above that.
+    """
+    reach = int(np.ceil(4 * psf_sigma_px))
+    profile = np.exp(-0.5 * (np.arange(-reach, reach + 1) / psf_sigma_px) ** 2)
+    outputs = []
+    for frame in frames[::-(-len(frames) // _FRAMES_LOOKED_AT)]:
+        finite = np.isfinite(frame)
+        signal = np.where(finite, frame, frame.dtype.type(0))
+        power = finite.astype(frame.dtype)
+        for axis in (0, 1):
+            signal = ndimage.correlate1d(signal, profile, axis=axis, mode='constant')
+            power = ndimage.correlate1d(power, profile ** 2, axis=axis, mode='constant')
+        outputs.append(signal[finite] / np.sqrt(power[finite]))
+    values = np.concatenate(outputs)
+    factor = robust_deviation(values)
+    n_independent = max(values.size / (4 * np.pi * psf_sigma_px ** 2), 1.0)
+    return factor if factor > 1 + _SIGNIFICANT / np.sqrt(2 * n_independent) else 1.0
