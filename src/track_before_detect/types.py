@@ -44,8 +44,7 @@ class Trajectory:
     positions : array, shape (T, 2)
         Column x and row y in pixels of the original frames; pixel centres are integers.
     amplitudes : array, shape (T,)
-        Amplitude of the unit-norm point spread function, in the units of the noise standard
-        deviation times that of the input.
+        Amplitude of the unit-norm point spread function, in the units of the input.
     velocity : array, shape (T, 2)
         Pixels per second.
     stamps : array, shape (T,)
@@ -55,7 +54,8 @@ class Trajectory:
     statistic : float
         What is compared with the threshold; always above it for a reported trajectory.
     snr : float
-        Root mean square over frames of amplitude over noise standard deviation, in one frame.
+        Mean over frames of the matched filter statistic, which has unit variance in noise: the
+        signal-to-noise ratio in one frame.
     """
 
     id: int
@@ -82,7 +82,8 @@ class Step:
         Number of paths with non-zero amplitude.
     violation : float
         Largest statistic of any path on the residual over the threshold, less one; at most the
-        tolerance when the step ended a stage.
+        tolerance when the step ended a stage. NaN in the stages between the first and the last,
+        which do not search.
     """
 
     t: float

@@ -16,8 +16,12 @@ row_first, row_x : int32 (R,)
     Velocities lie on a grid and are numbered row by row (a row has one v_y): number of the first
     velocity of the row and grid index of its v_x; ``row_first`` has R + 1 entries.
 
-A position outside the grid has weight ``ABSENT``. The loops over x are small functions of their
-own on purpose: inlined in the nest above them they are not vectorised.
+A position outside the grid has weight ``ABSENT``.
+
+The loops over x are small functions of their own on purpose: written into the nest above them
+they are not vectorised. They take whole arrays, flat, with unsigned offsets: a slice for each row
+would cost two atomic updates of a reference count, as long as adding sixty numbers, and a signed
+index would be checked for being negative at each step.
 """
 
 import numba
@@ -26,125 +30,169 @@ import numpy as np
 ABSENT = np.float32(-1e30)
 
 _COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
+_U = np.uint64
 
 
 @numba.njit(**_COMPILE)
-def _fill(out, value):
-    for x in range(out.size):
-        out[x] = value
+def _fill(out, o, n, value):
+    for x in range(_U(n)):
+        out[o + x] = value
 
 
 @numba.njit(**_COMPILE)
-def _copy(out, source):
-    for x in range(out.size):
-        out[x] = source[x]
+def _copy(out, o, source, a, n):
+    for x in range(_U(n)):
+        out[o + x] = source[a + x]
 
 
 @numba.njit(**_COMPILE)
-def _add(out, source):
-    for x in range(out.size):
-        out[x] += source[x]
+def _add(out, o, source, a, n):
+    for x in range(_U(n)):
+        out[o + x] += source[a + x]
 
 
 @numba.njit(**_COMPILE)
-def _raise_to(out, source, cost):
-    for x in range(out.size):
-        other = source[x] - cost
-        out[x] = out[x] if out[x] > other else other
+def _add_four(out, o, source, a, b, c, d, n):
+    for x in range(_U(n)):
+        out[o + x] += (source[a + x] + source[b + x]) + (source[c + x] + source[d + x])
 
 
 @numba.njit(**_COMPILE)
-def _raise_to_both(out, left, right, cost):
-    for x in range(out.size):
-        other = (left[x] if left[x] > right[x] else right[x]) - cost
-        out[x] = out[x] if out[x] > other else other
+def _raise_to(out, o, source, a, n, cost):
+    for x in range(_U(n)):
+        other = source[a + x] - cost
+        out[o + x] = out[o + x] if out[o + x] > other else other
 
 
 @numba.njit(**_COMPILE)
-def _largest(row):
-    largest = row[0]
-    for x in range(row.size):
-        largest = row[x] if row[x] > largest else largest
-    return largest
+def _best_of_three(out, o, source, here, left, right, n, cost):
+    for x in range(_U(n)):
+        beside = source[left + x] if source[left + x] > source[right + x] else source[right + x]
+        beside -= cost
+        out[o + x] = source[here + x] if source[here + x] > beside else beside
 
 
 @numba.njit(**_COMPILE)
-def _shifted_row(out, value, y, v, move_x, move_y):
-    """Write value[y + move_y, v, x + move_x] to out[x]; ABSENT off the grid."""
-    n_y, _, n_x = value.shape
-    y_from = y + move_y
+def _shifted_row(out, o, value, row, y, n_y, n_x, move_x, move_y):
+    """Write value[y + move_y, v, x + move_x] to out[o + x]; ABSENT off the grid.
+
+    ``row`` is the flat index of value[y + move_y, v, 0].
+    """
     first = max(0, -move_x)
     last = min(n_x, n_x - move_x)
-    if y_from < 0 or y_from >= n_y or last <= first:
-        _fill(out, ABSENT)
+    if y + move_y < 0 or y + move_y >= n_y or last <= first:
+        _fill(out, o, n_x, ABSENT)
         return
-    _fill(out[:first], ABSENT)
-    _copy(out[first:last], value[y_from, v, first + move_x:last + move_x])
-    _fill(out[last:], ABSENT)
+    _fill(out, o, first, ABSENT)
+    _copy(out, o + _U(first), value, _U(row + first + move_x), last - first)
+    _fill(out, o + _U(last), n_x - last, ABSENT)
 
 
 @numba.njit(**_COMPILE)
-def _add_scores(out, scores, moves, v, y, first_frame, last_frame):
-    """Add to out[x] the weights met on leaving (y, x) with velocity v."""
-    n_y, n_x = scores.shape[1:]
-    for t in range(first_frame, last_frame):
-        move_x = moves[t, v, 0]
-        y_at = y + moves[t, v, 1]
-        first = max(0, -move_x)
-        last = min(n_x, n_x - move_x)
-        if y_at < 0 or y_at >= n_y or last <= first:
-            _fill(out, ABSENT)
-            return
-        if first > 0:
-            _fill(out[:first], ABSENT)
-        _add(out[first:last], scores[t, y_at, first + move_x:last + move_x])
-        if last < n_x:
-            _fill(out[last:], ABSENT)
+def _extents(moves, first_frame, last_frame, n_y, n_x):
+    """Return what adding the scores of a segment needs for each velocity.
+
+    extents[v] : first and last x, first and last y from which all frames stay on the grid
+    offsets[v, t] : flat index of the position in frame t less that of the start in frame 0
+    """
+    n_v = moves.shape[1]
+    extents = np.zeros((n_v, 4), np.int64)
+    offsets = np.empty((n_v, last_frame - first_frame), np.int64)
+    for v in range(n_v):
+        extents[v, 1] = n_x
+        extents[v, 3] = n_y
+        for t in range(first_frame, last_frame):
+            extents[v, 0] = max(extents[v, 0], -moves[t, v, 0])
+            extents[v, 1] = min(extents[v, 1], n_x - moves[t, v, 0])
+            extents[v, 2] = max(extents[v, 2], -moves[t, v, 1])
+            extents[v, 3] = min(extents[v, 3], n_y - moves[t, v, 1])
+            offsets[v, t - first_frame] = (t * n_y + moves[t, v, 1]) * n_x + moves[t, v, 0]
+    return extents, offsets
 
 
 @numba.njit(**_COMPILE)
-def _best_turn(out, scratch, row_first, row_x, reach, cost):
+def _add_scores(out, o, scores, extents, offsets, v, y, n_x):
+    """Add to out[o + x] the weights met on leaving (y, x); ABSENT where that leaves the grid."""
+    first, last = extents[v, 0], extents[v, 1]
+    if y < extents[v, 2] or y >= extents[v, 3] or last <= first:
+        _fill(out, o, n_x, ABSENT)
+        return
+    _fill(out, o, first, ABSENT)
+    _fill(out, o + _U(last), n_x - last, ABSENT)
+    start = y * n_x + first
+    n = last - first
+    o += _U(first)
+    # Four rows at a time: the running sum is then loaded and stored once for four frames.
+    n_frames = offsets.shape[1]
+    t = 0
+    while t + 4 <= n_frames:
+        _add_four(out, o, scores, _U(start + offsets[v, t]), _U(start + offsets[v, t + 1]),
+                  _U(start + offsets[v, t + 2]), _U(start + offsets[v, t + 3]), n)
+        t += 4
+    while t < n_frames:
+        _add(out, o, scores, _U(start + offsets[v, t]), n)
+        t += 1
+
+
+@numba.njit(**_COMPILE)
+def _raise_from_sides(out, o, source, start, stride, here, n_rows, k, n, cost):
+    """Raise out[o + x] to the rows k before and k after row ``here`` where there are such."""
+    if 0 <= here - k < n_rows:
+        _raise_to(out, o, source, _U(start + (here - k) * stride), n, np.float32(k) * cost)
+    if 0 <= here + k < n_rows:
+        _raise_to(out, o, source, _U(start + (here + k) * stride), n, np.float32(k) * cost)
+
+
+@numba.njit(**_COMPILE)
+def _best_turn(flat, block, scratch, row_first, row_x, width, n_x, reach, cost):
     """Raise each velocity's row to the best within ``reach`` steps, less ``cost`` a step.
 
     The cost is the sum of the steps in v_x and v_y, so the maximum over the square of velocities
     is one over v_x and then one over v_y. Rows of the disc of velocities have different lengths;
-    the pass over v_x fills ``scratch`` for the columns that a longer neighbouring row needs too.
+    the pass over v_x fills ``scratch`` (rows, width, X), flat, for the columns that a longer
+    neighbouring row needs too. The velocities of one position row start at ``flat[block]``.
     """
     n_rows = row_x.size
-    width = scratch.shape[1]
     for r in range(n_rows):
-        first = row_first[r]
-        n_v = row_first[r + 1] - first
+        first = block + row_first[r] * n_x
+        n_v = row_first[r + 1] - row_first[r]
         for c in range(width):
             i = c - row_x[r]
-            if 0 <= i < n_v:
-                _copy(scratch[r, c], out[first + i])
+            o = _U((r * width + c) * n_x)
+            nearest = 1
+            if 1 <= i < n_v - 1:
+                _best_of_three(scratch, o, flat, _U(first + i * n_x), _U(first + (i - 1) * n_x),
+                               _U(first + (i + 1) * n_x), n_x, cost)
+                nearest = 2
+            elif 0 <= i < n_v:
+                _copy(scratch, o, flat, _U(first + i * n_x), n_x)
             else:
-                _fill(scratch[r, c], ABSENT)
-            for k in range(1, reach + 1):
-                left = 0 <= i - k < n_v
-                right = 0 <= i + k < n_v
-                if left and right:
-                    _raise_to_both(scratch[r, c], out[first + i - k], out[first + i + k],
-                                   np.float32(k) * cost)
-                elif left:
-                    _raise_to(scratch[r, c], out[first + i - k], np.float32(k) * cost)
-                elif right:
-                    _raise_to(scratch[r, c], out[first + i + k], np.float32(k) * cost)
+                _fill(scratch, o, n_x, ABSENT)
+            for k in range(nearest, reach + 1):
+                _raise_from_sides(scratch, o, flat, first, n_x, i, n_v, k, n_x, cost)
     for r in range(n_rows):
-        for v in range(row_first[r], row_first[r + 1]):
-            c = row_x[r] + v - row_first[r]
-            _copy(out[v], scratch[r, c])
-            for k in range(1, reach + 1):
-                below = r - k >= 0
-                above = r + k < n_rows
-                if below and above:
-                    _raise_to_both(out[v], scratch[r - k, c], scratch[r + k, c],
-                                   np.float32(k) * cost)
-                elif below:
-                    _raise_to(out[v], scratch[r - k, c], np.float32(k) * cost)
-                elif above:
-                    _raise_to(out[v], scratch[r + k, c], np.float32(k) * cost)
+        for i in range(row_first[r + 1] - row_first[r]):
+            o = _U(block + (row_first[r] + i) * n_x)
+            column = (row_x[r] + i) * n_x
+            stride = width * n_x
+            nearest = 1
+            if 1 <= r < n_rows - 1:
+                _best_of_three(flat, o, scratch, _U(r * stride + column),
+                               _U((r - 1) * stride + column), _U((r + 1) * stride + column),
+                               n_x, cost)
+                nearest = 2
+            else:
+                _copy(flat, o, scratch, _U(r * stride + column), n_x)
+            for k in range(nearest, reach + 1):
+                _raise_from_sides(flat, o, scratch, column, stride, r, n_rows, k, n_x, cost)
+
+
+@numba.njit(**_COMPILE)
+def _row_width(row_first, row_x):
+    width = 0
+    for r in range(row_x.size):
+        width = max(width, row_x[r] + row_first[r + 1] - row_first[r])
+    return width
 
 
 @numba.njit(**_COMPILE)
@@ -157,55 +205,35 @@ def forward_segment(value, before, scores, moves, end_moves_before, first_frame,
 
     ``before`` of no rows starts the paths: the maximum is then zero.
     """
-    _, n_v, n_x = value.shape
-    width = 0
-    for r in range(row_x.size):
-        width = max(width, row_x[r] + row_first[r + 1] - row_first[r])
-    scratch = np.empty((row_x.size, width, n_x), np.float32)
+    n_y, n_v, n_x = value.shape
+    flat = value.reshape(value.size)
+    flat_before = before.reshape(before.size)
+    flat_scores = scores.reshape(scores.size)
+    width = _row_width(row_first, row_x)
+    scratch = np.empty(row_x.size * width * n_x, np.float32)
+    extents, offsets = _extents(moves, first_frame, last_frame, n_y, n_x)
     for y in range(first_row, last_row):
+        block = y * n_v * n_x
         if before.shape[0] == 0:
-            _fill(value[y].reshape(n_v * n_x), np.float32(0))
+            _fill(flat, _U(block), n_v * n_x, np.float32(0))
         else:
             for v in range(n_v):
-                _shifted_row(value[y, v], before, y, v,
-                             -end_moves_before[v, 0], -end_moves_before[v, 1])
-            _best_turn(value[y], scratch, row_first, row_x, reach, cost)
+                move_x, move_y = -end_moves_before[v, 0], -end_moves_before[v, 1]
+                _shifted_row(flat, _U(block + v * n_x), flat_before,
+                             ((y + move_y) * n_v + v) * n_x, y, n_y, n_x, move_x, move_y)
+            _best_turn(flat, block, scratch, row_first, row_x, width, n_x, reach, cost)
         for v in range(n_v):
-            _add_scores(value[y, v], scores, moves, v, y, first_frame, last_frame)
-
-
-@numba.njit(**_COMPILE)
-def onward_segment(value, after, scores, moves, end_moves, first_frame, last_frame,
-                   row_first, row_x, reach, cost):
-    """Weight of the best path from each state at the start of a segment to the last frame.
-
-    value[y, v, x] = max over v' near v of (after[p + end_move(v), v'] - cost * |v - v'|)
-                     + sum over frames of scores[t, p + move(t, v)],   p = (y, x)
-
-    ``after`` of no rows ends the paths: the maximum is then zero. ``after`` is overwritten.
-    """
-    n_y, n_v, n_x = value.shape
-    if after.shape[0] == 0:
-        _fill(value.reshape(n_y * n_v * n_x), np.float32(0))
-    else:
-        width = 0
-        for r in range(row_x.size):
-            width = max(width, row_x[r] + row_first[r + 1] - row_first[r])
-        scratch = np.empty((row_x.size, width, n_x), np.float32)
-        for y in range(n_y):
-            _best_turn(after[y], scratch, row_first, row_x, reach, cost)
-        for y in range(n_y):
-            for v in range(n_v):
-                _shifted_row(value[y, v], after, y, v, end_moves[v, 0], end_moves[v, 1])
-    for y in range(n_y):
-        for v in range(n_v):
-            _add_scores(value[y, v], scores, moves, v, y, first_frame, last_frame)
+            _add_scores(flat, _U(block + v * n_x), flat_scores, extents, offsets, v, y,
+                        n_x)
 
 
 @numba.njit(**_COMPILE)
 def best_by_position(value, out, first_row, last_row):
     """Write the largest weight over all velocities to out[y, x]."""
+    _, n_v, n_x = value.shape
+    flat = value.reshape(value.size)
+    flat_out = out.reshape(out.size)
     for y in range(first_row, last_row):
-        _copy(out[y], value[y, 0])
-        for v in range(1, value.shape[1]):
-            _raise_to(out[y], value[y, v], np.float32(0))
+        _copy(flat_out, _U(y * n_x), flat, _U(y * n_v * n_x), n_x)
+        for v in range(1, n_v):
+            _raise_to(flat_out, _U(y * n_x), flat, _U((y * n_v + v) * n_x), n_x, np.float32(0))

@@ -21,9 +21,9 @@ from track_before_detect.solvers.threshold import regular_stamps, threshold_for
 from track_before_detect.types import Step
 
 # Cost of changing either velocity component by one step, in units of squared statistic.
-TURN_COST = 2.0
+TURN_COST = 3.0
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
-INTERVALS_TO_MAX_SPEED = 20
+INTERVALS_TO_MAX_SPEED = 30
 # Share of its norm that a stamp must keep for a pixel's noise to count as noise of one.
 MOST_TABLE_BYTES = 8 * 2**30
 
@@ -138,7 +138,7 @@ class ConvexDetector:
         valid_pixels = np.zeros((0, 0, 0), bool) if mask is None else mask
         paths = PathSet(clean, valid_pixels, self._psf, threshold)
         times = regular_stamps(stamps)
-        refiner = Refiner(graph, self._psf, times, shape, valid_pixels)
+        refiner = Refiner(graph, self._psf, times, valid_pixels)
         result = pursue(search, refiner, paths, 3 * self._psf.sigma_px,
                         PursuitSettings(self._options.continuation))
         return BatchResult(self._collect(paths), threshold, result.status, result.history,

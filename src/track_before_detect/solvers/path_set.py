@@ -39,6 +39,8 @@ class PathSet:
         x and y in pixels of each path.
     costs : list of float
         Cost of the turns; lambda_path^2 = threshold^2 + cost.
+    settled : list of bool
+        Whether a path was refined where it is, apart from all others.
     amplitudes : array, shape (P, T)
     residual : float32 array, shape (T, H, W)
         Frames less the fit.
@@ -51,6 +53,7 @@ class PathSet:
         self.threshold = threshold
         self.positions: list[NDArray] = []
         self.costs: list[float] = []
+        self.settled: list[bool] = []
         self._stamps: list[NDArray] = []
         self._origins: list[NDArray] = []
         n_frames = len(frames)
@@ -72,6 +75,7 @@ class PathSet:
         """Append a path with amplitude zero."""
         self.positions.append(positions)
         self.costs.append(cost)
+        self.settled.append(False)
         stamps, origins = self._render(positions)
         self._stamps.append(stamps)
         self._origins.append(origins)
@@ -89,6 +93,7 @@ class PathSet:
         self._take(path, -1.0)
         self.positions[path] = positions
         self.costs[path] = cost
+        self.settled[path] = False
         self._stamps[path], self._origins[path] = self._render(positions)
         self._relate(path)
         self._take(path, 1.0)
@@ -100,6 +105,7 @@ class PathSet:
         keep = np.setdiff1d(np.arange(len(self)), paths)
         self.positions = [self.positions[p] for p in keep]
         self.costs = [self.costs[p] for p in keep]
+        self.settled = [self.settled[p] for p in keep]
         self._stamps = [self._stamps[p] for p in keep]
         self._origins = [self._origins[p] for p in keep]
         self.matched = self.matched[keep]

@@ -9,6 +9,10 @@ by 1/2 (eta - t w)^2 and costs 1/2 (1 - t)^2 w^2, so it is worth adding exactly 
 whatever t: one threshold serves the schedule. Every change (adding, moving, merging, removing a
 path) is accepted only when F_t falls, which is what makes each stage end; Algorithm 5 taken
 literally can swap paths for ever.
+
+All paths are searched in the first and in the last stage, and wherever t = 1. The stages between
+only merge, move and remove what is there: their amplitudes are shrunk less than before, so the
+residual shows less than in the stage before, and the last stage has the final word.
 """
 
 from __future__ import annotations
@@ -100,7 +104,10 @@ def pursue(search: PathSearch, refiner: Refiner, paths: PathSet, separation: flo
         last = number == len(settings.continuation) - 1
         tolerance = settings.tolerance if last else settings.stage_tolerance
         stage = _Stage(search, refiner, paths, separation, t_convex)
-        largest, finished = stage.run(tolerance, settings.most_rounds, history)
+        if number == 0 or last or t_convex == 1.0:
+            largest, finished = stage.run(tolerance, settings.most_rounds, history)
+        else:
+            finished = stage.polish(history)
         if not finished:
             status = 'iteration_limit'
         if t_convex == 1.0:
@@ -157,7 +164,7 @@ class _Stage:
             fitted = self._improve()
             paths.refresh()
             largest, found = self._search.best_paths(
-                paths.residual, bound, self._separation, self._is_new(bound), MOST_NEW_PATHS)
+                paths.residual, bound, self._separation, self._is_new(), MOST_NEW_PATHS)
             violation = float(np.sqrt(max(largest, 0.0))) / paths.threshold - 1
             history.append(Step(self._t, paths.objective(self._t), len(paths), violation))
             if not found:
@@ -167,7 +174,15 @@ class _Stage:
                 return largest, self._t < 1
         return largest, False
 
-    def _is_new(self, bound):
+    def polish(self, history):
+        """Improve the paths at hand: shrinking less, they leave less for others to find."""
+        fitted = self._improve()
+        self._paths.refresh()
+        history.append(Step(self._t, self._paths.objective(self._t), len(self._paths),
+                            float('nan')))
+        return fitted
+
+    def _is_new(self):
         """Return a test for paths that still pass the threshold beside those found so far."""
         taken = []
 
@@ -200,7 +215,9 @@ class _Stage:
     def _improve(self):
         """Fit, refine, merge and remove paths for as long as F_t falls."""
         paths = self._paths
-        fitted = all([self._fit(members) for members in paths.clusters()])
+        fitted = True
+        for members in paths.clusters():
+            fitted = self._fit(members) and fitted
         self._drop_empty()
         changed = True
         while changed and len(paths):
@@ -240,10 +257,15 @@ class _Stage:
     def _refine(self, path):
         """Move one path, the others fixed; True when it moved."""
         paths = self._paths
+        # The best place for a path that overlaps no other depends on neither t nor the others.
+        alone = len(self._cluster_of(path)) == 1
+        if alone and paths.settled[path]:
+            return False
         positions, cost = self._refiner.refine(
             paths.without(path), paths.positions[path], paths.costs[path], paths.threshold,
             self._t)
         if positions is paths.positions[path]:
+            paths.settled[path] = alone
             return False
         paths.move(path, positions, cost)
         return True
