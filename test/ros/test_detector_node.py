@@ -25,7 +25,7 @@ RATE_HZ = 25.0
 SHAPE = (32, 40)
 # A threshold of its own saves the calibration.
 FAST = ['-p', 'threshold:=12.0', '-p', 'batch_length:=10', '-p', 'hop:=5', '-p',
-        'max_speed_px_s:=25.0']
+        'max_speed_px_s:=25.0', '-p', 'queue_length:=100']
 SIZE = ['-p', f'frame_height:={SHAPE[0]}', '-p', f'frame_width:={SHAPE[1]}', '-p',
         f'frame_rate_hz:={RATE_HZ}']
 RELIABLE = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.RELIABLE)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterable, Mapping
 import math
+from typing import Any
 
 from builtin_interfaces.msg import Duration, Time
 from geometry_msgs.msg import Point, PoseStamped
@@ -167,7 +168,7 @@ def points_from_trajectories(trajectories: Iterable[Trajectory], header: Header)
         for trajectory in trajectories for row, position in _present(trajectory)]
     points = np.array(rows, POINT_DTYPE)
     fields = []
-    offsets = POINT_DTYPE.fields or {}
+    offsets: Mapping[str, Any] = POINT_DTYPE.fields or {}
     for name in POINT_DTYPE.names or ():
         kind, offset = offsets[name][:2]
         fields.append(PointField(name=name, offset=offset, count=1,

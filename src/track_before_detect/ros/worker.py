@@ -177,6 +177,7 @@ class StreamWorker:
         self._window = SlidingWindow(settings.batch_length, settings.hop, settings.max_gap_s)
         self._prepared_for: tuple[int, int] | None = None
         self._failed_for: tuple[int, int] | None = None
+        self._ready_text = ''
         self._tags: dict[int, Any] = {}
         self._last_arrival_s = 0.0
         self._changed = threading.Condition()
@@ -318,10 +319,15 @@ class StreamWorker:
             return
         started = time.monotonic()
         try:
-            detection = self._pipeline.process(batch)
+            detection = self._pipeline.process(batch, self._progress)
+        except _StopRequestedError:
+            raise
         except Exception as error:
             self._failed('the search failed', error)
+            self._set_state('ready', self._ready_text)
             return
+        if self.status.state != 'ready':
+            self._set_state('ready', self._ready_text)
         self.counters.batches += 1
         self.counters.trajectories += len(detection.trajectories)
         tags = {int(index): self._tags[int(index)][0] for index in batch.frame_indices}
@@ -363,10 +369,11 @@ class StreamWorker:
             return False
         self._prepared_for = shape
         self.status.threshold = threshold
-        self._set_state('ready', (
+        self._ready_text = (
             f'{shape[0]} x {shape[1]} frames, threshold {threshold:.3f}, batches of '
             f'{self._settings.batch_length} frames every {self._settings.hop}, prepared in '
-            f'{time.monotonic() - started:.1f} s'))
+            f'{time.monotonic() - started:.1f} s')
+        self._set_state('ready', self._ready_text)
         return True
 
     def _progress(self, label, done):

@@ -33,8 +33,8 @@ class Intake:
         ``REFUSED`` leaves the window as it was; ``GAP``, ``JUMP_BACK`` and ``SIZE_CHANGE`` start
         it again with this frame.
     batch : FrameBatch or None
-        Frames to search now. When the window was started again these are the frames before
-        that which no batch had contained, together with as many older ones as fit.
+        Frames to search now. When the window was started again this is the full window of
+        before, if some of its frames were in no batch yet.
     reason : str
         What was expected and what was found; empty for an accepted frame.
     """
@@ -152,7 +152,8 @@ class SlidingWindow:
         return self.length * float(np.median(self._intervals))
 
     def _restart(self, outcome, reason, pixels, stamp_s, frame_index):
-        tail = self.flush()
+        # A part of a window would have to be calibrated for its own length, while frames arrive.
+        tail = self.flush() if len(self._frames) == self.length else None
         self.clear()
         first = self._accept(outcome, pixels, stamp_s, frame_index).batch
         # Only a window of one frame has a batch due at once; it never leaves a tail.
