@@ -1,0 +1,142 @@
+"""The package as it is installed: metadata that agree, and who imports whom."""
+
+import ast
+from pathlib import Path
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+
+import track_before_detect
+
+PACKAGE = 'track_before_detect'
+SOURCE = Path(track_before_detect.__file__).parent
+ROOT = Path(__file__).parents[1]
+MODULES = sorted(SOURCE.rglob('*.py'))
+
+# Rooms of the package to the rooms of the package they may import, beside their own. The file
+# names without a suffix are modules; everything else is a folder.
+BASICS = {'errors', 'types', 'options'}
+ALLOWED = {
+    '__init__': BASICS | {'detect'},
+    'errors': set(),
+    'types': set(),
+    'options': {'errors'},
+    'kernels': set(),
+    'models': BASICS | {'kernels'},
+    'preprocess': BASICS | {'kernels'},
+    'solvers': BASICS | {'kernels', 'models'},
+    'tracking': BASICS | {'kernels', 'models', 'preprocess', 'solvers'},
+    'recordings': BASICS,
+    'simulation': BASICS | {'models'},
+    'detect': BASICS | {'preprocess', 'solvers', 'tracking'},
+    'cli': BASICS | {'__init__', 'detect', 'recordings', 'simulation', 'tracking'},
+    'ros': BASICS | {'__init__', 'recordings', 'simulation', 'tracking'},
+}
+
+
+def imported_names(path):
+    """Return the dotted names a file imports, wherever in the file."""
+    for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert not node.level, f'{path}: imports are absolute'
+            if node.module == PACKAGE:
+                yield from (f'{PACKAGE}.{alias.name}' for alias in node.names)
+            else:
+                yield node.module
+
+
+def room_of(path):
+    return path.relative_to(SOURCE).parts[0].removesuffix('.py')
+
+
+@pytest.mark.parametrize('path', MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
+def test_a_room_imports_only_the_rooms_below_it(path):
+    room = room_of(path)
+    rooms = {child.name.removesuffix('.py') for child in SOURCE.iterdir()}
+    ours = {name.split('.')[1] for name in imported_names(path)
+            if name.startswith(f'{PACKAGE}.')}
+    # A name that is no file or folder, such as __version__, comes from the package itself.
+    ours = {name if name in rooms else '__init__' for name in ours}
+    assert ours - {room} <= ALLOWED[room]
+
+
+@pytest.mark.parametrize('path', MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
+def test_only_the_nodes_import_ros(path):
+    ros = {name for name in imported_names(path)
+           if re.match(r'(rclpy|launch|ament|\w+_(msgs|srvs|interfaces))\b', name)}
+    assert not ros or room_of(path) == 'ros'
+
+
+def test_package_and_command_work_without_ros():
+    blocked = """
+import sys
+
+class Blocker:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition('.')[0] == 'rclpy' or name.partition('.')[0].endswith('_msgs'):
+            raise ImportError(f'{name} is blocked')
+
+sys.meta_path.insert(0, Blocker())
+import track_before_detect
+from track_before_detect.cli import main
+sys.exit(main(['simulate', '--list']))
+"""
+    done = subprocess.run([sys.executable, '-c', blocked], capture_output=True, text=True,
+                          cwd=SOURCE.parent, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert 'eo_ir_drones' in done.stdout
+
+
+def manifest():
+    path = ROOT / 'package.xml'
+    if not path.exists():
+        pytest.skip('the tests do not run from the source folder')
+    return ElementTree.parse(path).getroot()
+
+
+def test_versions_agree():
+    in_setup = re.search(r"version='([^']+)'", (ROOT / 'setup.py').read_text())
+    assert manifest().findtext('version') == track_before_detect.__version__
+    assert in_setup and in_setup.group(1) == track_before_detect.__version__
+
+
+def test_manifest_makes_an_ament_python_package():
+    root = manifest()
+    assert root.get('format') == '3'
+    assert root.findtext('name') == PACKAGE
+    assert root.findtext('export/build_type') == 'ament_python'
+    assert (ROOT / root.find('license').get('file')).is_file()
+    # colcon takes a package whose maintainer has no valid address for one without ROS.
+    address = root.find('maintainer').get('email')
+    assert re.fullmatch(r'[-\w.%+]+@[-\w%+]+(\.[-\w%+]+)*\.[a-zA-Z]{2,}', address)
+
+
+def test_manifest_names_every_ros_package_that_is_imported():
+    depends = {element.text for element in manifest().iter('exec_depend')}
+    imported = {name.partition('.')[0] for path in (SOURCE / 'ros').rglob('*.py')
+                for name in imported_names(path)}
+    imported |= {name.partition('.')[0] for path in (ROOT / 'launch').glob('*.py')
+                 for name in imported_names(path)}
+    of_ros = {name for name in imported
+              if re.fullmatch(r'rclpy|launch(_\w+)?|\w+_(msgs|srvs|interfaces|python)', name)}
+    assert of_ros
+    assert of_ros <= depends
+
+
+def test_setup_script_knows_every_command_of_its_help():
+    script = ROOT / 'ros2_ws_setup.sh'
+    if not script.exists():
+        pytest.skip('the tests do not run from the source folder')
+    text = subprocess.run(['bash', str(script), '--help'], capture_output=True, text=True,
+                          check=True, timeout=30).stdout
+    for command in ('setup', 'demo', 'test', 'build'):
+        assert re.search(rf'^  {command}\b', text, re.MULTILINE)
+    refused = subprocess.run(['bash', str(script), 'nonsense'], capture_output=True, text=True,
+                             timeout=30)
+    assert refused.returncode == 2
+    assert len(refused.stderr.splitlines()) == 1
