@@ -24,6 +24,7 @@ from track_before_detect.types import FrameBatch
 
 _QUANTISED_FLOOR = 0.3  # of a grey level: rounding alone adds 1/sqrt(12)
 
+_LEAST_FRAMES = 3  # that tell what stands still from what moves
 _LEAST_MESH_PX = 12  # cells this small follow the shading of a lens under a panning camera
 _MESH_SIGMAS = 8  # side of a cell, of which a target must cover little
 
@@ -89,6 +90,13 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
             raise ParameterError(
                 'background must be none or temporal_median for complex frames, got '
                 f'{options.background!r}')
+
+    for name, over_time in (('background', ('temporal_median', 'temporal_spatial_median')),
+                            ('noise', ('map',))):
+        value = getattr(options, name)
+        if value in over_time and n_frames < _LEAST_FRAMES:
+            raise DataError(
+                f'{name}={value} needs at least {_LEAST_FRAMES} frames, got {n_frames}')
 
     offsets = np.zeros((n_frames, 2))
     if options.registration == 'translation':

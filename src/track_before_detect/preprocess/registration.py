@@ -230,12 +230,13 @@ def _correlate(fixed, moving, guess):
     if not deviation > 0:
         return np.zeros(2), 0.0, 0
     reach = max(1, int(_FARTHEST * min(fixed.shape)))
-    reach = max(1, min(reach, (min(shape) - 3) // 2))
-    nearby = np.arange(-reach, reach + 1)
-    window = surface[np.ix_(nearby, nearby)]
+    nearby = [np.arange(-min(reach, (size - 1) // 2), min(reach, (size - 1) // 2) + 1)
+              for size in shape]
+    window = surface[np.ix_(*nearby)]
     highest = np.unravel_index(np.argmax(window), window.shape)
-    row, column = (int(nearby[index]) for index in highest)
-    peak = surface[np.ix_([row - 1, row, row + 1], [column - 1, column, column + 1])]
+    row, column = (int(places[index]) for places, index in zip(nearby, highest, strict=True))
+    around = np.array([-1, 0, 1])
+    peak = surface[np.ix_((row + around) % shape[0], (column + around) % shape[1])]
     shift = np.array([column + _vertex(peak[1]), row + _vertex(peak[:, 1])])
     whole = np.array([column, row]) + guess
     return shift + guess, float(peak[1, 1] / deviation), _support(fixed, moving, whole)

@@ -1,0 +1,175 @@
+"""Frames come out registered, without background and with unit noise."""
+
+import itertools
+import os
+from pathlib import Path
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+import numpy as np
+import pytest
+
+from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.options import DetectorOptions
+from track_before_detect.preprocess.chain import prepare
+from track_before_detect.types import FrameBatch
+
+REGISTRATIONS = ('none', 'translation')
+BACKGROUNDS = ('none', 'temporal_median', 'spatial_median', 'temporal_spatial_median')
+NOISES = ('none', 'robust', 'map')
+
+
+def batch_of(frames):
+    n_frames = len(frames)
+    return FrameBatch(frames, np.arange(n_frames) / 25, np.arange(n_frames) + 100)
+
+
+def test_nothing_asked_for_passes_the_frames_on():
+    frames = np.random.default_rng(0).normal(5, 2, (4, 10, 12))
+    prepared = prepare(batch_of(frames), DetectorOptions())
+    np.testing.assert_array_equal(prepared.frames, frames.astype(np.float32))
+    assert prepared.frames.dtype == np.float32
+    assert prepared.noise_level.shape == (1, 1, 1) and prepared.noise_level.item() == 1
+    assert not prepared.offsets.any() and not prepared.fractions.any()
+    np.testing.assert_array_equal(prepared.frame_indices, np.arange(4) + 100)
+
+
+@settings(max_examples=24, deadline=None)
+@given(st.sampled_from(list(itertools.product(REGISTRATIONS, BACKGROUNDS, NOISES))),
+       st.sampled_from(['uint8', 'uint16', '>u2', 'float32', '>f8']), st.integers(3, 6),
+       st.integers(0, 99))
+def test_every_combination_leaves_its_input_and_keeps_its_shape(steps, dtype, n_frames, seed):
+    rng = np.random.default_rng(seed)
+    frames = rng.normal(100, 9, (n_frames, 33, 41)).astype(dtype)
+    if frames.dtype.kind == 'f':
+        frames[rng.random(frames.shape) < 0.02] = rng.choice([np.nan, np.inf, -np.inf])
+    before = frames.copy()
+    registration, background, noise = steps
+    prepared = prepare(batch_of(frames), DetectorOptions(
+        registration=registration, background=background, noise=noise))
+    np.testing.assert_array_equal(frames, before)
+    assert prepared.frames.shape == frames.shape
+    assert not np.isinf(prepared.frames).any()
+    assert np.all(np.abs(prepared.fractions) <= 0.5)
+    np.broadcast_to(prepared.noise_level, frames.shape)
+    assert np.isnan(prepared.frames[~np.isfinite(frames)]).all() or registration != 'none'
+
+
+@pytest.mark.parametrize('noise', ['robust', 'map'])
+def test_frames_times_level_are_in_the_units_of_the_input(noise):
+    frames = np.random.default_rng(1).normal(0, 7, (10, 64, 64))
+    prepared = prepare(batch_of(frames), DetectorOptions(noise=noise))
+    assert prepared.frames.std() == pytest.approx(1.0, rel=0.02 if noise == 'robust' else 0.1)
+    np.testing.assert_allclose(prepared.frames * prepared.noise_level, frames, rtol=1e-4)
+
+
+def test_noise_has_unit_deviation_after_the_background_is_off():
+    rng = np.random.default_rng(2)
+    frames = rng.normal(0, 3, (20, 96, 96)) + rng.uniform(0, 500, (96, 96))
+    prepared = prepare(batch_of(frames),
+                       DetectorOptions(background='temporal_median', noise='robust'))
+    assert prepared.frames.std() == pytest.approx(1.0, rel=0.02)
+
+
+def test_a_target_is_found_back_at_its_original_position():
+    rng = np.random.default_rng(3)
+    scene = rng.normal(0, 20, (120, 160))
+    frames = np.array([scene[20:100, 20 + 2 * t:120 + 2 * t] for t in range(9)])
+    frames += rng.normal(size=frames.shape)
+    positions = np.array([(30 + t, 40 + 2 * t) for t in range(9)])
+    for t, (x, y) in enumerate(positions):
+        frames[t, y, x] += 60
+    prepared = prepare(batch_of(frames), DetectorOptions(
+        registration='translation', background='temporal_median', noise='robust'))
+    np.testing.assert_allclose(prepared.offsets[:, 0], 8 - 2 * np.arange(9))
+    for t, (x, y) in enumerate(positions):
+        row, column = np.unravel_index(np.nanargmax(prepared.frames[t]), frames[t].shape)
+        np.testing.assert_allclose((column, row) + prepared.offsets[t], (x, y))
+
+
+def test_quantised_dark_frames_do_not_explode():
+    frames = np.full((8, 32, 32), 12, np.uint8)
+    frames[3, 10, 10] = 15
+    prepared = prepare(batch_of(frames), DetectorOptions(background='temporal_median',
+                                                         noise='map'))
+    assert np.nanmax(np.abs(prepared.frames)) <= 3 / 0.3 + 1e-4
+
+
+def test_a_frame_masked_entirely_stays_masked():
+    frames = np.random.default_rng(4).normal(size=(6, 40, 40))
+    frames[2] = np.nan
+    prepared = prepare(batch_of(frames), DetectorOptions(
+        registration='translation', background='temporal_spatial_median', noise='robust'))
+    assert np.isnan(prepared.frames[2]).all()
+    assert np.isfinite(prepared.frames[[0, 1, 3, 4, 5]]).mean() > 0.9
+
+
+def test_complex_noise_gets_unit_power():
+    rng = np.random.default_rng(5)
+    frames = 4 * (rng.normal(size=(12, 50, 50)) + 1j * rng.normal(size=(12, 50, 50)))
+    frames[0, 0, 0] = np.nan
+    clutter = 100 * rng.normal(size=(50, 50))
+    for noise in ('robust', 'map'):
+        prepared = prepare(batch_of(frames + clutter),
+                           DetectorOptions(background='temporal_median', noise=noise))
+        assert prepared.frames.dtype == np.complex64
+        assert np.isnan(prepared.frames[0, 0, 0])
+        power = np.nanmean(np.abs(prepared.frames) ** 2)
+        assert power == pytest.approx(1.0, rel=0.06)
+
+
+@pytest.mark.parametrize('changes', [{'registration': 'translation'},
+                                     {'background': 'spatial_median'}],
+                         ids=['registration', 'background'])
+def test_complex_frames_are_refused_where_they_mean_nothing(changes):
+    with pytest.raises(ParameterError, match='complex'):
+        prepare(batch_of(np.zeros((3, 9, 9), complex)), DetectorOptions(**changes))
+
+
+@pytest.mark.parametrize(('frames', 'words'), [
+    (np.full((3, 8, 8), np.nan), 'no pixel'),
+    (np.zeros((8, 8)), 'shape'),
+    (np.zeros((0, 8, 8)), 'shape'),
+    (np.zeros((2, 8, 8), bool), 'numbers'),
+], ids=['not finite', 'one image', 'no frame', 'truth values'])
+def test_frames_that_cannot_be_used_are_refused(frames, words):
+    with pytest.raises(DataError, match=words):
+        prepare(batch_of(frames), DetectorOptions())
+
+
+def test_frames_without_noise_cannot_be_scaled():
+    with pytest.raises(DataError, match='noise level'):
+        prepare(batch_of(np.full((3, 8, 8), 4.0)), DetectorOptions(noise='robust'))
+
+
+@pytest.mark.parametrize('changes', [{'background': 'temporal_median'}, {'noise': 'map'}],
+                         ids=['background', 'noise'])
+def test_two_frames_cannot_say_what_stands_still(changes):
+    frames = np.random.default_rng(0).normal(size=(2, 8, 8))
+    with pytest.raises(DataError, match='at least 3 frames, got 2'):
+        prepare(batch_of(frames), DetectorOptions(**changes))
+
+
+def test_one_frame_can_be_prepared_in_space():
+    frames = np.random.default_rng(0).normal(size=(1, 64, 64))
+    prepared = prepare(batch_of(frames), DetectorOptions(
+        registration='translation', background='spatial_median', noise='robust'))
+    assert prepared.frames.std() == pytest.approx(1.0, rel=0.05)
+
+
+def test_too_few_stamps_are_refused():
+    with pytest.raises(DataError, match='stamps'):
+        prepare(FrameBatch(np.zeros((3, 8, 8)), np.arange(2.0), np.arange(3)), DetectorOptions())
+
+
+def test_the_real_drone_is_the_brightest_thing_after_preparation():
+    folder = os.environ.get('TBD_DATA_DIR')
+    if not folder or not (Path(folder) / 'ir_antiuav5_sky.npz').is_file():
+        pytest.skip('needs ir_antiuav5_sky.npz in the folder named by TBD_DATA_DIR')
+    with np.load(Path(folder) / 'ir_antiuav5_sky.npz') as archive:
+        frames, truth = archive['frames'][100:120], archive['truth'][100:120, 2:]
+    prepared = prepare(batch_of(frames), DetectorOptions(
+        registration='translation', background='temporal_spatial_median', noise='robust'))
+    for t in range(20):
+        row, column = np.unravel_index(np.nanargmax(prepared.frames[t]), frames[t].shape)
+        assert np.hypot(*((column, row) + prepared.offsets[t] - truth[t])) < 3.0
