@@ -1,0 +1,146 @@
+"""The pursuit descends, ends with a certificate, and recovers what is there."""
+
+import numpy as np
+import pytest
+
+from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.state_graph import build_state_graph
+from track_before_detect.solvers.path_search import PathSearch
+from track_before_detect.solvers.path_set import PathSet
+from track_before_detect.solvers.refinement import Refiner
+from track_before_detect.solvers.subspace_pursuit import (
+    duality_gap,
+    pursue,
+    PursuitSettings,
+)
+
+NO_MASK = np.zeros((0, 0, 0), bool)
+T, H, W = 8, 24, 30
+STAMPS = np.arange(float(T))
+
+
+def straight(x, y, v_x, v_y):
+    return np.stack([x + v_x * STAMPS, y + v_y * STAMPS], axis=1)
+
+
+SCENES = {
+    'far apart': [(straight(5, 5, 0.5, 0.3), 4.0), (straight(22, 18, -0.4, 0.1), 3.0)],
+    'close': [(straight(8, 10, 0.6, 0.0), 6.0), (straight(8, 13, 0.6, 0.0), 6.0)],
+    'crossing': [(straight(6, 8, 0.9, 0.4), 4.0), (straight(13, 8, -0.9, 0.4), 4.0)],
+    'bright': [(straight(8, 10, 0.6, 0.2), 40.0)],
+    'empty': [],
+}
+
+
+def scene(name, seed):
+    frames = np.random.default_rng(seed).standard_normal((T, H, W)).astype(np.float32)
+    paths = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0)
+    for positions, amplitude in SCENES[name]:
+        paths.add(positions, 0.0)
+        paths.assign(np.array([len(paths) - 1]), np.full((1, T), amplitude))
+    return frames - paths.residual
+
+
+def solve(frames, continuation, threshold=6.5, mask=None, **settings):
+    psf = GaussianPsf(1.0)
+    graph = build_state_graph(STAMPS, step_px=0.5, max_speed=1.0, max_acceleration=0.1,
+                              turn_cost=3.0)
+    search = PathSearch(graph, psf, (H, W))
+    search.set_mask(mask)
+    valid = NO_MASK if mask is None else mask
+    paths = PathSet(frames, valid, psf, threshold)
+    result = pursue(search, Refiner(graph, psf, STAMPS, valid), paths, 3.0,
+                    PursuitSettings(continuation, **settings))
+    return result, search
+
+
+@pytest.mark.parametrize('name', SCENES)
+@pytest.mark.parametrize('seed', [1, 2])
+@pytest.mark.parametrize('continuation', [(1.0,), (0.0,), (1.0, 0.6, 0.2, 0.0)])
+def test_objective_never_rises_within_a_stage(name, seed, continuation):
+    result, _ = solve(scene(name, seed), continuation, tolerance=1e-3)
+    for t in continuation:
+        values = [step.objective for step in result.history if step.t == t]
+        assert values
+        assert (np.diff(values) <= 1e-6).all()
+
+
+@pytest.mark.parametrize('name', SCENES)
+@pytest.mark.parametrize('continuation', [(1.0,), (0.0,), (1.0, 0.6, 0.2, 0.0)])
+def test_converged_means_that_no_path_passes_the_threshold(name, continuation):
+    frames = scene(name, 5)
+    result, search = solve(frames, continuation, tolerance=1e-3)
+    assert result.status == 'converged'
+    left = np.sqrt(max(search.best_value(result.paths.residual), 0))
+    if continuation == (1.0,):
+        assert left <= 6.5 * (1 + 1e-3) * (1 + 1e-5)
+    assert result.history[-1].violation == pytest.approx(left / 6.5 - 1, abs=1e-4)
+
+
+@pytest.mark.parametrize('name', SCENES)
+def test_duality_gap_bounds_what_a_tighter_solution_gains(name):
+    frames = scene(name, 6)
+    loose, _ = solve(frames, (1.0,), tolerance=0.05)
+    tight, _ = solve(frames, (1.0,), tolerance=1e-4)
+    loose_value, tight_value = (r.history[-1].objective for r in (loose, tight))
+    assert 0 <= loose.gap
+    assert loose_value - tight_value <= loose.gap + 1e-4
+    assert tight.gap <= 1e-3 * tight_value
+
+
+def test_duality_gap_of_nothing_is_zero_when_nothing_passes():
+    frames = scene('empty', 1)
+    paths = PathSet(frames, NO_MASK, GaussianPsf(1.0), 50.0)
+    assert duality_gap(paths, 40.0) == pytest.approx(0, abs=1e-6 * paths.energy)
+
+
+@pytest.mark.parametrize('name', ['far apart', 'close', 'crossing', 'bright'])
+def test_each_target_of_a_scene_is_one_trajectory(name):
+    result, _ = solve(scene(name, 3), (1.0, 0.8, 0.6, 0.4, 0.2, 0.0))
+    found = result.paths.positions
+    assert len(found) == len(SCENES[name])
+    for positions, _ in SCENES[name]:
+        errors = [np.hypot(*(other - positions).T).mean() for other in found]
+        assert min(errors) < 0.8
+
+
+@pytest.mark.parametrize('speed', [(0.0, 0.0), (0.37, -0.21), (0.81, 0.4)])
+def test_noise_free_target_is_recovered_exactly(speed):
+    positions = straight(9.3, 12.7, *speed)
+    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0)
+    maker.add(positions, 0.0)
+    maker.assign(np.array([0]), np.linspace(8, 12, T)[None])
+    result, _ = solve(-maker.residual, (1.0, 0.5, 0.0))
+    assert len(result.paths) == 1
+    np.testing.assert_allclose(result.paths.positions[0], positions, atol=2e-2)
+    np.testing.assert_allclose(result.paths.amplitudes[0], np.linspace(8, 12, T), rtol=1e-3)
+
+
+def test_nothing_is_found_at_the_largest_statistic_and_something_just_below():
+    frames = scene('far apart', 4)
+    _, search = solve(frames, (0.0,), threshold=100.0)
+    largest = np.sqrt(search.best_value(frames))
+    assert len(solve(frames, (1.0,), threshold=largest * 1.0001)[0].paths) == 0
+    assert len(solve(frames, (1.0,), threshold=largest * 0.999, tolerance=1e-4)[0].paths) > 0
+
+
+def test_masked_pixels_do_not_count():
+    frames = scene('far apart', 3)
+    valid = np.ones(frames.shape, bool)
+    valid[:, :, :11] = False
+    frames[~valid] = 0
+    result, _ = solve(frames, (1.0, 0.5, 0.0), mask=valid)
+    assert len(result.paths) == 1
+    assert np.abs(result.paths.positions[0] - SCENES['far apart'][1][0]).max() < 1.5
+
+
+def test_residual_is_frames_less_fit_after_many_changes():
+    frames = scene('close', 9)
+    result, _ = solve(frames, (1.0, 0.8, 0.6, 0.4, 0.2, 0.0))
+    paths = result.paths
+    kept = paths.residual.copy()
+    paths.refresh()
+    np.testing.assert_allclose(kept, paths.residual, atol=1e-4)
+    expected = 0.5 * np.sum(paths.residual.astype(float)**2)
+    expected += 0.5 * np.sum(paths.weights**2)
+    assert paths.objective(0.0) == pytest.approx(expected, rel=1e-6)
