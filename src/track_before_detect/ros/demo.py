@@ -49,7 +49,8 @@ QUEUE_BYTES = 2**30
 # seconds here and not in intervals of the recording.
 FLUSH_AFTER_S = 1.0
 SILENCE_TIMEOUT_S = 60.0
-RESULT_TIMEOUT_S = 120.0
+DISCOVERY_TIMEOUT_S = 60.0
+RESULT_TIMEOUT_S = 20.0
 NEAR_PX = 3.0
 
 
@@ -346,14 +347,16 @@ def _wait_until_searched(detector, publisher, executor, heard, recording, status
             what = 'waiting for frame_publisher and detector to find each other'
         status.show(what, f'{received} of {n_frames} frames, {batches} batches, '
                           f'{len(heard.points)} trajectories')
-        if (received, batches, code) != counted:
+        busy = heard.diagnostics.get('searching') == 'true' or (code is None and received)
+        if busy or (received, batches, code) != counted:
             last_change_s, counted = time.monotonic(), (received, batches, code)
-        if heard.count('failures') and code is not None and not heard.count('frames_waiting'):
-            raise DemoError(f'the detector failed: {heard.diagnostics["last_warning"]} (log: '
-                            f'{detector.log})', BAD_INPUT)
-        if time.monotonic() - last_change_s > RESULT_TIMEOUT_S:
+        quiet_s = time.monotonic() - last_change_s
+        if quiet_s > (DISCOVERY_TIMEOUT_S if code is None else RESULT_TIMEOUT_S):
+            if heard.count('failures'):
+                raise DemoError(f'the detector failed: {heard.diagnostics["last_warning"]} (log: '
+                                f'{detector.log})', BAD_INPUT)
             if not heard.count('batches'):
-                raise DemoError(f'no result for {RESULT_TIMEOUT_S:.0f} s; the detector was: '
+                raise DemoError(f'no frame was searched for {quiet_s:.0f} s; the detector was: '
                                 f'{heard.state} (log: {detector.log})')
             # The last frame was lost on the way; what was found without it still counts.
             break

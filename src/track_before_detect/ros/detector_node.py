@@ -268,6 +268,7 @@ class DetectorNode(ParameterizedNode):
             'state': status.state,
             'detail': status.detail,
             'frame_size': '' if status.shape is None else f'{status.shape[0]} x {status.shape[1]}',
+            'searching': str(status.searching).lower(),
             'threshold': f'{status.threshold:.4f}',
             'processing_time_ms': f'{1e3 * status.processing_s:.1f}',
             'longest_processing_time_ms': f'{1e3 * status.longest_processing_s:.1f}',

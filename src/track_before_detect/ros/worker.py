@@ -125,6 +125,7 @@ class Status:
     longest_processing_s: float = 0.0
     latency_s: float = 0.0
     shape: tuple[int, int] | None = None
+    searching: bool = False
 
 
 class _StopRequestedError(Exception):
@@ -318,6 +319,7 @@ class StreamWorker:
         if self._prepared_for != shape and not self._prepare(shape, interval_s):
             return
         started = time.monotonic()
+        self.status.searching = True
         try:
             detection = self._pipeline.process(batch, self._progress)
         except _StopRequestedError:
@@ -326,6 +328,8 @@ class StreamWorker:
             self._failed('the search failed', error)
             self._set_state('ready', self._ready_text)
             return
+        finally:
+            self.status.searching = False
         if self.status.state != 'ready':
             self._set_state('ready', self._ready_text)
         self.counters.batches += 1
