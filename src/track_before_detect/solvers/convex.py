@@ -17,14 +17,18 @@ from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
 from track_before_detect.solvers.refinement import Refiner
 from track_before_detect.solvers.subspace_pursuit import pursue, PursuitSettings
-from track_before_detect.solvers.threshold import regular_stamps, threshold_for
+from track_before_detect.solvers.threshold import (
+    regular_stamps,
+    threshold_for,
+    usable_cores,
+)
 from track_before_detect.types import Step
 
 # Cost of changing either velocity component by one step, in units of squared statistic.
 TURN_COST = 3.0
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
 INTERVALS_TO_MAX_SPEED = 30
-# Share of its norm that a stamp must keep for a pixel's noise to count as noise of one.
+# A search that needs more memory than this is refused before it starts.
 MOST_TABLE_BYTES = 8 * 2**30
 
 
@@ -158,7 +162,7 @@ class ConvexDetector:
         """Return the search for these frames, with its tables where the last one had them."""
         key = (shape, tuple(regular_stamps(stamps)), self._interval_key(stamps))
         if self._search is None or self._search[0] != key:
-            self._search = (key, PathSearch(graph, self._psf, shape))
+            self._search = (key, PathSearch(graph, self._psf, shape, usable_cores()))
         self._search[1].set_mask(mask)
         return self._search[1]
 

@@ -10,6 +10,7 @@ at hand is optimal.
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 import math
 
@@ -54,10 +55,16 @@ class PathSearch:
         Its oversampling has to match the step of the graph.
     shape : tuple of int
         (H, W) of the frames.
+    n_threads : int
+        Threads that share the rows of the frames. The compiled loops release the interpreter
+        lock, so plain threads do, and numba's own threading layer, which aborts the process when
+        two threads enter it, is never used.
     """
 
-    def __init__(self, graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int]):
+    def __init__(self, graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int],
+                 n_threads: int = 1):
         self.graph = graph
+        self._n_threads = n_threads
         n_sub = psf.oversampling
         self._n_sub = n_sub
         self._taps = np.array([psf.taps(phase / n_sub) for phase in range(n_sub)], np.float32)
@@ -74,14 +81,17 @@ class PathSearch:
     def scores(self, frames: NDArray) -> NDArray:
         """Return the squared positive statistic of every position, shape (T, Y, X)."""
         scores = np.empty((len(frames), *self.grid_shape), np.float32)
-        n_y = self.grid_shape[0]
-        for t, frame in enumerate(frames):
-            common = (self._taps, self._scale_y, self._scale_x, 0, n_y)
-            if self._norm_squared is None:
-                matched_filter.scores_of_frame(scores[t], frame, *common)
-            else:
-                matched_filter.scores_of_masked_frame(
-                    scores[t], frame, self._norm_squared[t], *common)
+
+        def fill(first, last):
+            common = (self._taps, self._scale_y, self._scale_x, first, last)
+            for t, frame in enumerate(frames):
+                if self._norm_squared is None:
+                    matched_filter.scores_of_frame(scores[t], frame, *common)
+                else:
+                    matched_filter.scores_of_masked_frame(
+                        scores[t], frame, self._norm_squared[t], *common)
+
+        self._over_rows(fill)
         return scores
 
     def run(self, scores: NDArray) -> NDArray:
@@ -91,17 +101,31 @@ class PathSearch:
         shape = (graph.n_segments, n_y, graph.n_velocities, n_x)
         if self._values is None:
             self._values = np.empty(shape, np.float32)
-        before = np.empty((0, graph.n_velocities, n_x), np.float32)
-        end_moves = np.zeros((graph.n_velocities, 2), np.int32)
+        values = self._values
+        nothing = np.empty((0, graph.n_velocities, n_x), np.float32)
         for j in range(graph.n_segments):
-            path_search.forward_segment(
-                self._values[j], before, scores, graph.moves, end_moves, graph.knots[j],
-                graph.knots[j + 1], graph.row_first, graph.row_x, graph.reach,
-                np.float32(graph.turn_cost), 0, n_y)
-            before, end_moves = self._values[j], graph.end_moves[j]
+            def extend(first, last, j=j):
+                path_search.forward_segment(
+                    values[j], values[j - 1] if j else nothing, scores, graph.moves,
+                    graph.end_moves[max(j - 1, 0)], graph.knots[j], graph.knots[j + 1],
+                    graph.row_first, graph.row_x, graph.reach, np.float32(graph.turn_cost),
+                    first, last)
+
+            self._over_rows(extend)
         best = np.empty((n_y, n_x), np.float32)
-        path_search.best_by_position(self._values[-1], best, 0, n_y)
+        self._over_rows(
+            lambda first, last: path_search.best_by_position(values[-1], best, first, last))
         return best
+
+    def _over_rows(self, work):
+        """Call work(first row, last row) for all rows of the grid, shared out over threads."""
+        n_y = self.grid_shape[0]
+        if self._n_threads == 1 or n_y < 2 * self._n_threads:
+            work(0, n_y)
+            return
+        bounds = np.linspace(0, n_y, self._n_threads + 1).astype(int)
+        with ThreadPoolExecutor(self._n_threads) as pool:
+            list(pool.map(work, bounds[:-1], bounds[1:]))
 
     def best_value(self, frames: NDArray) -> float:
         """Return the largest value of any path."""

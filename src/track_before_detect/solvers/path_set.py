@@ -7,6 +7,8 @@ needs no pixels (Patent Eq. 6-8).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 import math
 
 import numpy as np
@@ -60,6 +62,7 @@ class PathSet:
         self.matched = np.empty((0, n_frames))
         self.gram = np.empty((0, 0, n_frames))
         self.amplitudes = np.empty((0, n_frames))
+        self._touching = np.empty((0, 0), bool)
         self.residual = frames.copy()
         self.energy = 0.5 * float(np.einsum('tyx,tyx->', frames, frames, dtype=np.float64))
 
@@ -81,9 +84,10 @@ class PathSet:
         self._origins.append(origins)
         n_paths, n_frames = len(self), len(self.frames)
         for name, shape in (('matched', (n_paths, n_frames)), ('amplitudes', (n_paths, n_frames)),
-                            ('gram', (n_paths, n_paths, n_frames))):
-            grown = np.zeros(shape)
+                            ('gram', (n_paths, n_paths, n_frames)),
+                            ('_touching', (n_paths, n_paths))):
             old = getattr(self, name)
+            grown = np.zeros(shape, old.dtype)
             grown[tuple(slice(0, n) for n in old.shape)] = old
             setattr(self, name, grown)
         self._relate(n_paths - 1)
@@ -110,7 +114,8 @@ class PathSet:
         self._origins = [self._origins[p] for p in keep]
         self.matched = self.matched[keep]
         self.amplitudes = self.amplitudes[keep]
-        self.gram = np.ascontiguousarray(self.gram[np.ix_(keep, keep)])
+        self.gram = self.gram[np.ix_(keep, keep)]
+        self._touching = self._touching[np.ix_(keep, keep)]
 
     def fitted(self, members: NDArray, t_convex: float, tolerance: float,
                ) -> tuple[float, NDArray, bool]:
@@ -141,32 +146,44 @@ class PathSet:
                 stamp_kernels.accumulate(
                     self.residual, self._stamps[path], self._origins[path], -change)
 
-    def clusters(self) -> list[NDArray]:
+    def cluster_of(self, path: int) -> NDArray[np.int64]:
+        """Return the paths that overlap this one, directly or through others, itself included."""
+        member = np.zeros(len(self), bool)
+        member[path] = True
+        fresh = member
+        while fresh.any():
+            fresh = self._touching[fresh].any(axis=0) & ~member
+            member = member | fresh
+        return np.flatnonzero(member)
+
+    def clusters(self) -> list[NDArray[np.int64]]:
         """Return the sets of paths that overlap, directly or through others."""
-        touching = np.abs(self.gram).max(axis=2, initial=0) > 0
-        left = set(range(len(self)))
+        left = np.ones(len(self), bool)
         found = []
-        while left:
-            members = {left.pop()}
-            fresh = set(members)
-            while fresh:
-                fresh = left & {int(q) for p in fresh for q in np.flatnonzero(touching[p])}
-                left -= fresh
-                members |= fresh
-            found.append(np.array(sorted(members)))
+        while left.any():
+            members = self.cluster_of(int(np.argmax(left)))
+            left[members] = False
+            found.append(members)
         return found
+
+    def objective_of(self, members: NDArray, t_convex: float) -> float:
+        """Return F_t of paths that overlap no others, without the energy of the data."""
+        return objective(self.amplitudes[members], self.matched[members],
+                         self.gram[np.ix_(members, members)], self.weights[members], t_convex)
 
     def objective(self, t_convex: float) -> float:
         """Return F_t, the energy of the data included."""
         return self.energy + objective(self.amplitudes, self.matched, self.gram, self.weights,
                                        t_convex)
 
-    def without(self, path: int) -> NDArray:
-        """Return the frames less the fit of all other paths."""
-        frames = self.residual.copy()
-        stamp_kernels.accumulate(frames, self._stamps[path], self._origins[path],
-                                 self.amplitudes[path])
-        return frames
+    @contextmanager
+    def without(self, path: int) -> Iterator[NDArray]:
+        """Lend the frames less the fit of all other paths."""
+        self._take(path, -1.0)
+        try:
+            yield self.residual
+        finally:
+            self._take(path, 1.0)
 
     def similarity(self, path: int) -> NDArray:
         """Return the mean overlap of a path with every path, shape (P,)."""
@@ -213,6 +230,9 @@ class PathSet:
             stamp_kernels.overlap(self._stamps[path], self._origins[path], self._stamps[other],
                                   self._origins[other], self.gram[path, other])
             self.gram[other, path] = self.gram[path, other]
+        touching = np.any(self.gram[path], axis=1)
+        self._touching[path] = touching
+        self._touching[:, path] = touching
 
 
 def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,

@@ -32,6 +32,10 @@ from track_before_detect.types import Step
 MOST_NEW_PATHS = 64
 # Two paths that share this much of their energy in the mean frame may be one target.
 ALIKE = 0.3
+# Sweeps over all paths in one round, and the fall of F_t that makes another one worthwhile; adding
+# a path gains some tens.
+MOST_SWEEPS = 5
+WORTHWHILE = 0.5
 # A change has to lower F_t by more than the rounding of the sums.
 LEAST_GAIN = 1e-9
 
@@ -201,15 +205,16 @@ class _Stage:
         paths = self._paths
         if paths.statistic_of(found.positions)**2 - found.cost <= paths.threshold**2:
             return False
-        before = paths.objective(self._t)
-        kept = paths.amplitudes.copy()
         paths.add(found.positions, found.cost)
-        self._refine(len(paths) - 1)
-        self._fit(self._cluster_of(len(paths) - 1))
-        if paths.objective(self._t) < before - LEAST_GAIN:
+        added = len(paths) - 1
+        self._refine(added)
+        members = paths.cluster_of(added)
+        before = paths.objective_of(members, self._t)
+        after, amplitudes, _ = paths.fitted(members, self._t, self._amplitude_tolerance)
+        if after < before - LEAST_GAIN:
+            paths.assign(members, amplitudes)
             return True
-        paths.remove(np.array([len(paths) - 1]))
-        paths.assign(np.arange(len(paths)), kept)
+        paths.remove(np.array([added]))
         return False
 
     def _improve(self):
@@ -219,9 +224,9 @@ class _Stage:
         for members in paths.clusters():
             fitted = self._fit(members) and fitted
         self._drop_empty()
-        changed = True
-        while changed and len(paths):
-            changed = False
+        # At t = 1 nothing is merged yet, and moving the many neighbours of a bright target until
+        # they settle is wasted: most of them vanish in the next stage.
+        for _ in range(1 if self._t == 1.0 else MOST_SWEEPS):
             before = paths.objective(self._t)
             order = np.argsort(np.linalg.norm(paths.amplitudes, axis=1))
             # Paths are told apart by their arrays, for removing one renumbers the rest.
@@ -230,14 +235,11 @@ class _Stage:
                              if other is positions), None)
                 if path is None:
                     continue
-                if self._remove_if_better(path):
-                    changed = True
-                elif self._refine(path):
-                    fitted = self._fit(self._cluster_of(path)) and fitted
+                if not self._remove_if_better(path) and self._refine(path):
+                    fitted = self._fit(self._paths.cluster_of(path)) and fitted
             self._drop_empty()
-            # Refinement creeps; another pass is worth it while it still gains visibly.
-            if before - paths.objective(self._t) > 0.05:
-                changed = True
+            if before - paths.objective(self._t) < WORTHWHILE:
+                break
         return fitted
 
     def _fit(self, members):
@@ -245,9 +247,6 @@ class _Stage:
                                                       self._amplitude_tolerance)
         self._paths.assign(members, amplitudes)
         return converged
-
-    def _cluster_of(self, path):
-        return next(members for members in self._paths.clusters() if path in members)
 
     def _drop_empty(self):
         empty = np.flatnonzero(~np.any(self._paths.amplitudes, axis=1))
@@ -258,12 +257,12 @@ class _Stage:
         """Move one path, the others fixed; True when it moved."""
         paths = self._paths
         # The best place for a path that overlaps no other depends on neither t nor the others.
-        alone = len(self._cluster_of(path)) == 1
+        alone = len(self._paths.cluster_of(path)) == 1
         if alone and paths.settled[path]:
             return False
-        positions, cost = self._refiner.refine(
-            paths.without(path), paths.positions[path], paths.costs[path], paths.threshold,
-            self._t)
+        with paths.without(path) as frames:
+            positions, cost = self._refiner.refine(
+                frames, paths.positions[path], paths.costs[path], paths.threshold, self._t)
         if positions is paths.positions[path]:
             paths.settled[path] = alone
             return False
@@ -275,7 +274,7 @@ class _Stage:
         paths = self._paths
         if self._t == 1.0:
             return False
-        members = self._cluster_of(path)
+        members = self._paths.cluster_of(path)
         before, *_ = paths.fitted(members, self._t, self._amplitude_tolerance)
         others = members[members != path]
         after, amplitudes, _ = paths.fitted(others, self._t, self._amplitude_tolerance)

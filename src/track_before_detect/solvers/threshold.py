@@ -117,7 +117,7 @@ def _simulate(graph, psf, crop, progress):
                 progress('calibrating the threshold on noise', done / N_CROPS)
         return value
 
-    with ThreadPoolExecutor(max_workers=os.cpu_count()) as pool:
+    with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
         return np.array(list(pool.map(largest, seeds)))
 
 
@@ -135,9 +135,17 @@ def _cache_folder() -> Path:
     return Path(base) / 'track_before_detect'
 
 
+def usable_cores() -> int:
+    """Return the number of cores this process may use."""
+    if hasattr(os, 'sched_getaffinity'):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def regular_stamps(stamps: NDArray) -> NDArray[np.float64]:
-    """Return stamps with their intervals rounded to quarters of the median interval, in units
-    of it, so that the jitter of a clock does not ask for a calibration of its own.
+    """Return stamps in units of their median interval, each interval rounded to quarters of it.
+
+    So the jitter of a clock does not ask for a calibration of its own.
     """
     if len(stamps) < 2:
         return np.zeros(len(stamps))
