@@ -73,8 +73,8 @@ PARAMETERS = [
         'number', unit='s', minimum=0.0, live=True, optional=True),
     NodeParameter(
         'queue_length', 0, 'Frames that may wait while a batch is searched; the oldest are '
-        'dropped, so that results are of now. Automatic is a batch.', 'integer', unit='frames',
-        minimum=0, live=True, optional=True),
+        'dropped, so that results stay recent. Automatic is two batches.', 'integer',
+        unit='frames', minimum=0, live=True, optional=True),
     NodeParameter(
         'frame_height', 0, 'Height of the frames; with frame_width and frame_rate_hz the search '
         'is prepared before the first frame arrives. Automatic waits for frames.', 'integer',
@@ -309,7 +309,7 @@ def _settings(values):
     length = options.batch_length
     return StreamSettings(
         batch_length=length, hop=options.hop, max_gap_s=values['max_gap_s'] or None,
-        queue_length=values['queue_length'] or length,
+        queue_length=values['queue_length'] or 2 * length,
         flush_after_s=values['flush_after_s'] or None)
 
 
