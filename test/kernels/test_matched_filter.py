@@ -1,9 +1,9 @@
 """The fine matched filter equals one stamp at a time, and is the adjoint of drawing stamps."""
 
-import naive
 import numpy as np
 import pytest
 
+import naive
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph
 from track_before_detect.solvers.path_search import PathSearch

@@ -1,9 +1,9 @@
 """The best path equals a search through every path."""
 
-import naive
 import numpy as np
 import pytest
 
+import naive
 from track_before_detect.kernels import path_search as kernel
 from track_before_detect.models.state_graph import build_state_graph
 

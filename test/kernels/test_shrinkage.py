@@ -1,9 +1,9 @@
 """Shrinkage minimises what it claims to; descent reaches the optimality conditions."""
 
-import naive
 import numpy as np
 import pytest
 
+import naive
 from track_before_detect.kernels import shrinkage
 
 
@@ -30,6 +30,9 @@ def test_shrink_beats_a_grid_search(weight):
     assert value(*best) <= everywhere.min() + 1e-12
 
 
+ALL = np.ones((5, 5), bool)
+
+
 def problem(seed, n_paths=5, n_frames=4):
     """Return matched filter and overlaps of random stamps, neighbours nearly alike."""
     generator = np.random.default_rng(seed)
@@ -47,7 +50,7 @@ def test_descent_reaches_the_optimality_conditions(seed, t):
     matched, gram = problem(seed)
     weights = np.array([3.0, 3.1, 3.0, 3.5, 3.0])
     amplitudes = np.zeros(matched.shape)
-    sweeps = shrinkage.descend(amplitudes, matched, gram, weights, t, 1e-12, 200000)
+    sweeps = shrinkage.descend(amplitudes, matched, gram, ALL, weights, t, 1e-12, 200000)
     assert sweeps <= 200000
     gradient = np.einsum('pqt,qt->pt', gram, amplitudes) - matched
     for row, slope, weight in zip(amplitudes, gradient, weights, strict=True):
@@ -66,7 +69,7 @@ def test_each_sweep_lowers_the_objective():
     amplitudes = np.zeros(matched.shape)
     values = [naive.convex_objective(amplitudes, matched, gram, weights, 1.0)]
     for _ in range(30):
-        shrinkage.descend(amplitudes, matched, gram, weights, 1.0, 0.0, 1)
+        shrinkage.descend(amplitudes, matched, gram, ALL, weights, 1.0, 0.0, 1)
         values.append(naive.convex_objective(amplitudes, matched, gram, weights, 1.0))
     assert (np.diff(values) <= 1e-10).all()
     assert values[-1] < values[0]

@@ -1,9 +1,9 @@
-"""Stamps are unit norm, cut at borders and masks, and agree with a picture drawn pixel by pixel."""
+"""Stamps are unit norm, cut at borders and masks, and equal a picture drawn pixel by pixel."""
 
-import naive
 import numpy as np
 import pytest
 
+import naive
 from track_before_detect.kernels import stamps as kernel
 
 NO_MASK = np.zeros((0, 0, 0), bool)

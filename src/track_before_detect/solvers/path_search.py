@@ -167,6 +167,7 @@ class PathSearch:
     def _trace(self, y, x):
         """Follow the best path back from the start (y, x) of its last segment."""
         graph, values = self.graph, self._values
+        assert values is not None
         velocity = int(np.argmax(values[-1, y, :, x]))
         value = float(values[-1, y, velocity, x])
         grid = np.rint(graph.velocities / graph.velocity_step)

@@ -13,6 +13,7 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 
 from track_before_detect.kernels import shrinkage
 from track_before_detect.kernels import stamps as stamp_kernels
@@ -71,7 +72,7 @@ class PathSet:
 
     @property
     def weights(self) -> NDArray[np.float64]:
-        """lambda of each path, shape (P,)."""
+        """Weight lambda of each path, shape (P,)."""
         return np.sqrt(self.threshold**2 + np.array(self.costs, float))
 
     def add(self, positions: NDArray, cost: float) -> None:
@@ -119,57 +120,60 @@ class PathSet:
 
     def fitted(self, members: NDArray, t_convex: float, tolerance: float,
                ) -> tuple[float, NDArray, bool]:
-        """Fit the amplitudes of some paths that overlap no others.
+        """Fit the amplitudes of some paths, all others fixed.
 
         Returns
         -------
         objective : float
-            F_t of these paths, without the energy of the data.
+            F_t as far as it depends on these paths.
         amplitudes : array, shape (len(members), T)
         converged : bool
         """
-        matched = self.matched[members]
-        gram = np.ascontiguousarray(self.gram[np.ix_(members, members)])
-        weights = self.weights[members]
-        amplitudes = self.amplitudes[members].copy()
-        sweeps = shrinkage.descend(amplitudes, matched, gram, weights, t_convex, tolerance,
-                                   MOST_SWEEPS)
+        problem = self._problem(members)
+        amplitudes = self.amplitudes[members]
+        sweeps = shrinkage.descend(amplitudes, *problem, t_convex, tolerance, MOST_SWEEPS)
+        matched, gram, _, weights = problem
         return (objective(amplitudes, matched, gram, weights, t_convex), amplitudes,
                 sweeps <= MOST_SWEEPS)
+
+    def objective_of(self, members: NDArray, t_convex: float) -> float:
+        """Return F_t as far as it depends on some paths, all others fixed."""
+        matched, gram, _, weights = self._problem(members)
+        return objective(self.amplitudes[members], matched, gram, weights, t_convex)
+
+    def _problem(self, members):
+        """Return matched filter less the fit of all other paths, overlaps and weights."""
+        others = self._touching[members].any(axis=0)
+        others[members] = False
+        matched = self.matched[members]
+        if others.any():
+            outside = np.flatnonzero(others)
+            matched -= np.einsum('pqt,qt->pt', self.gram[np.ix_(members, outside)],
+                                 self.amplitudes[outside])
+        pairs = np.ix_(members, members)
+        return matched, self.gram[pairs], self._touching[pairs], self.weights[members]
 
     def assign(self, members: NDArray, amplitudes: NDArray) -> None:
         """Set the amplitudes of some paths and bring the residual up to date."""
         for row, path in enumerate(members):
             change = amplitudes[row] - self.amplitudes[path]
-            if np.any(change):
-                self.amplitudes[path] = amplitudes[row]
+            self.amplitudes[path] = amplitudes[row]
+            # Smaller changes vanish in the single precision of the residual.
+            if np.abs(change).max() > 1e-7:
                 stamp_kernels.accumulate(
                     self.residual, self._stamps[path], self._origins[path], -change)
 
-    def cluster_of(self, path: int) -> NDArray[np.int64]:
-        """Return the paths that overlap this one, directly or through others, itself included."""
-        member = np.zeros(len(self), bool)
-        member[path] = True
-        fresh = member
-        while fresh.any():
-            fresh = self._touching[fresh].any(axis=0) & ~member
-            member = member | fresh
-        return np.flatnonzero(member)
+    def neighbours(self, path: int) -> NDArray[np.int64]:
+        """Return the paths that overlap this one in some frame, itself included."""
+        near = self._touching[path].copy()
+        near[path] = True
+        return np.flatnonzero(near)
 
     def clusters(self) -> list[NDArray[np.int64]]:
         """Return the sets of paths that overlap, directly or through others."""
-        left = np.ones(len(self), bool)
-        found = []
-        while left.any():
-            members = self.cluster_of(int(np.argmax(left)))
-            left[members] = False
-            found.append(members)
-        return found
-
-    def objective_of(self, members: NDArray, t_convex: float) -> float:
-        """Return F_t of paths that overlap no others, without the energy of the data."""
-        return objective(self.amplitudes[members], self.matched[members],
-                         self.gram[np.ix_(members, members)], self.weights[members], t_convex)
+        _, labels = connected_components(self._touching, directed=False)
+        order = np.argsort(labels, kind='stable')
+        return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1) if len(order) else []
 
     def objective(self, t_convex: float) -> float:
         """Return F_t, the energy of the data included."""

@@ -188,7 +188,7 @@ class _Stage:
 
     def _is_new(self):
         """Return a test for paths that still pass the threshold beside those found so far."""
-        taken = []
+        taken: list[NDArray] = []
 
         def is_new(positions):
             for other in taken:
@@ -208,7 +208,7 @@ class _Stage:
         paths.add(found.positions, found.cost)
         added = len(paths) - 1
         self._refine(added)
-        members = paths.cluster_of(added)
+        members = paths.neighbours(added)
         before = paths.objective_of(members, self._t)
         after, amplitudes, _ = paths.fitted(members, self._t, self._amplitude_tolerance)
         if after < before - LEAST_GAIN:
@@ -236,7 +236,7 @@ class _Stage:
                 if path is None:
                     continue
                 if not self._remove_if_better(path) and self._refine(path):
-                    fitted = self._fit(self._paths.cluster_of(path)) and fitted
+                    fitted = self._fit(self._paths.neighbours(path)) and fitted
             self._drop_empty()
             if before - paths.objective(self._t) < WORTHWHILE:
                 break
@@ -257,7 +257,7 @@ class _Stage:
         """Move one path, the others fixed; True when it moved."""
         paths = self._paths
         # The best place for a path that overlaps no other depends on neither t nor the others.
-        alone = len(self._paths.cluster_of(path)) == 1
+        alone = len(self._paths.neighbours(path)) == 1
         if alone and paths.settled[path]:
             return False
         with paths.without(path) as frames:
@@ -274,8 +274,8 @@ class _Stage:
         paths = self._paths
         if self._t == 1.0:
             return False
-        members = self._paths.cluster_of(path)
-        before, *_ = paths.fitted(members, self._t, self._amplitude_tolerance)
+        members = self._paths.neighbours(path)
+        before = paths.objective_of(members, self._t)
         others = members[members != path]
         after, amplitudes, _ = paths.fitted(others, self._t, self._amplitude_tolerance)
         if after < before - LEAST_GAIN:

@@ -72,7 +72,8 @@ def detect_recording(recording: FrameSource, options: DetectorOptions,
         held = {index: held[index] if index in held else np.asarray(recording[index])
                 for index in range(start, start + length)}
         indices = np.arange(start, start + length)
-        batch = FrameBatch(np.stack([held[index] for index in indices]), stamps[indices], indices)
+        batch = FrameBatch(
+            np.stack([held[int(index)] for index in indices]), stamps[indices], indices)
         result = pipeline.process(batch, progress)
         joined.add(result.trajectories)
         history += result.history
