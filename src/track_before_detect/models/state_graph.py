@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 # Displacement over one segment between neighbouring velocities, in grid steps. With three, a
-# target between two velocities drifts off its segment by at most three quarters of a step at either end.
+# target between two velocities drifts off its segment by at most three quarters of a step at
+# either end.
 STEPS_PER_SEGMENT = 3.0
 
 
