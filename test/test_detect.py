@@ -1,5 +1,7 @@
 """The Python call: its answers to bad input, and its promises about noise and targets."""
 
+import logging
+
 import numpy as np
 import pytest
 
@@ -51,9 +53,10 @@ def test_bad_options_are_named(options, message):
         tbd.detect(FRAMES, **options)
 
 
-def test_search_larger_than_memory_is_refused_before_it_starts():
-    with pytest.raises(tbd.ParameterError, match='GiB.*max_speed_px_s'):
-        tbd.detect(np.zeros((40, 600, 600), np.float32), max_speed_px_s=20, threshold=8)
+def test_search_larger_than_memory_leaves_out_the_fastest_motions_and_says_so(caplog):
+    with caplog.at_level(logging.WARNING):
+        tbd.detect(np.zeros((3, 200, 200), np.float32), max_speed_px_s=90, threshold=8)
+    assert 'speeds up to 90 px/s' in caplog.text and 'GiB' in caplog.text
 
 
 def test_input_is_left_as_it_was():

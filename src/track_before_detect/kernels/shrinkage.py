@@ -4,6 +4,7 @@ Layout of every array
 ---------------------
 matched : float64 (P, T), h = A^T y of each path in each frame
 gram : float64 (P, P, T), inner products of the unit-norm stamps of two paths in one frame
+touching : bool (P, P), which paths overlap in any frame; the others are passed over
 weights : float64 (P,), lambda of each path
 amplitudes : float64 (P, T), x; solved in place
 
@@ -34,7 +35,7 @@ def shrink(row, weight):
 
 
 @numba.njit(**_COMPILE)
-def descend(amplitudes, matched, gram, weights, t_convex, tolerance, max_sweeps):
+def descend(amplitudes, matched, gram, touching, weights, t_convex, tolerance, max_sweeps):
     """Minimise 1/2 x'Gx - h'x + t sum_p w_p |x_p|, x >= 0, path by path (Algorithm 3).
 
     Stops when no amplitude of a sweep moved by more than ``tolerance``; returns the sweeps made,
@@ -48,7 +49,7 @@ def descend(amplitudes, matched, gram, weights, t_convex, tolerance, max_sweeps)
             for k in range(n_frames):
                 row[k] = matched[p, k]
             for q in range(n_paths):
-                if q != p:
+                if q != p and touching[p, q]:
                     for k in range(n_frames):
                         row[k] -= gram[p, q, k] * amplitudes[q, k]
             shrink(row, t_convex * weights[p])

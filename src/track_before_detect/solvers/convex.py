@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+import logging
 import math
 
 import numpy as np
@@ -28,8 +29,10 @@ from track_before_detect.types import Step
 TURN_COST = 3.0
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
 INTERVALS_TO_MAX_SPEED = 30
-# A search that needs more memory than this is refused before it starts.
-MOST_TABLE_BYTES = 8 * 2**30
+# Memory for the tables of one search; a faster or longer search is cut down to fit.
+MOST_TABLE_BYTES = 2 * 2**30
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -79,9 +82,14 @@ class ConvexDetector:
         self._psf = GaussianPsf(options.psf_sigma_px)
         self._search: tuple[tuple, PathSearch] | None = None
         self._thresholds: dict[tuple, float] = {}
+        self._warned = False
 
-    def graph(self, stamps: NDArray) -> StateGraph:
-        """Return the paths that are searched for frames taken at ``stamps`` (s)."""
+    def graph(self, stamps: NDArray, shape: tuple[int, int]) -> StateGraph:
+        """Return the paths that are searched in frames of a shape taken at ``stamps`` (s).
+
+        Where the search would not fit into memory, the fastest motions are left out, with a
+        warning.
+        """
         options = self._options
         interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0
         speed = options.max_speed_px_s
@@ -97,9 +105,32 @@ class ConvexDetector:
         # Three digits are finer than any grid and keep equal cameras on one calibration.
         speed, acceleration = (float(f'{value:.3g}') for value in (
             speed * interval, acceleration * interval**2))
+        graph = self._graph(stamps, speed, acceleration)
+        fitting = speed
+        while self._table_bytes(graph, shape) > MOST_TABLE_BYTES:
+            if graph.n_velocities == 1:
+                raise ParameterError(
+                    f'a batch of {len(stamps)} frames of {shape[1]} x {shape[0]} pixels needs '
+                    f'{self._table_bytes(graph, shape) / 2**30:.1f} GiB, more than '
+                    f'{MOST_TABLE_BYTES / 2**30:.0f} GiB: lower batch_length')
+            fitting *= 0.95
+            graph = self._graph(stamps, fitting, acceleration)
+        if fitting < speed and not self._warned:
+            self._warned = True
+            _LOG.warning(
+                'speeds up to %.3g px/s would need more than %.0f GiB; searched up to %.3g px/s. '
+                'A lower max_speed_px_s or batch_length, or a wider psf_sigma_px, avoids this',
+                speed / interval, MOST_TABLE_BYTES / 2**30, fitting / interval)
+        return graph
+
+    def _graph(self, stamps, speed, acceleration):
         return build_state_graph(
             regular_stamps(stamps), step_px=1 / self._psf.oversampling, max_speed=speed,
             max_acceleration=acceleration, turn_cost=TURN_COST)
+
+    def _table_bytes(self, graph, shape):
+        positions = np.prod([(n - 1) * self._psf.oversampling + 1.0 for n in shape])
+        return 4 * graph.n_segments * graph.n_velocities * positions
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
                   progress: Callable[[str, float], None] | None = None) -> float:
@@ -109,7 +140,7 @@ class ConvexDetector:
         key = (tuple(regular_stamps(stamps)), self._interval_key(stamps), shape)
         if key not in self._thresholds:
             self._thresholds[key] = threshold_for(
-                self.graph(stamps), self._psf, shape, self._options.false_alarm_rate, progress)
+                self.graph(stamps, shape), self._psf, shape, self._options.false_alarm_rate, progress)
         return self._thresholds[key]
 
     def _interval_key(self, stamps):
@@ -130,8 +161,7 @@ class ConvexDetector:
             Told of a calibration.
         """
         shape = frames.shape[1:]
-        graph = self.graph(stamps)
-        self._check_size(graph, shape)
+        graph = self.graph(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
         valid = np.isfinite(frames)
         if valid.all():
@@ -165,13 +195,3 @@ class ConvexDetector:
             self._search = (key, PathSearch(graph, self._psf, shape, usable_cores()))
         self._search[1].set_mask(mask)
         return self._search[1]
-
-    def _check_size(self, graph, shape):
-        positions = np.prod([(n - 1) * self._psf.oversampling + 1 for n in shape])
-        needed = 4.0 * graph.n_segments * graph.n_velocities * positions
-        if needed > MOST_TABLE_BYTES:
-            raise ParameterError(
-                f'the search over {graph.n_velocities} velocities in {shape[1]} x {shape[0]} '
-                f'pixels and {graph.n_frames} frames needs {needed / 2**30:.1f} GiB, more than '
-                f'{MOST_TABLE_BYTES / 2**30:.0f} GiB; lower max_speed_px_s or batch_length, or '
-                'raise max_acceleration_px_s2 (which coarsens the velocities)')

@@ -19,7 +19,10 @@ from track_before_detect.kernels import shrinkage
 from track_before_detect.kernels import stamps as stamp_kernels
 from track_before_detect.models.psf import GaussianPsf
 
+# Sweeps of coordinate descent that settle the amplitudes of a scene, and those that are enough to
+# see whether a change of few paths pays.
 MOST_SWEEPS = 5000
+FEW_SWEEPS = 60
 
 
 class PathSet:
@@ -119,7 +122,7 @@ class PathSet:
         self._touching = self._touching[np.ix_(keep, keep)]
 
     def fitted(self, members: NDArray, t_convex: float, tolerance: float,
-               ) -> tuple[float, NDArray, bool]:
+               most_sweeps: int = FEW_SWEEPS) -> tuple[float, NDArray, bool]:
         """Fit the amplitudes of some paths, all others fixed.
 
         Returns
@@ -131,10 +134,10 @@ class PathSet:
         """
         problem = self._problem(members)
         amplitudes = self.amplitudes[members]
-        sweeps = shrinkage.descend(amplitudes, *problem, t_convex, tolerance, MOST_SWEEPS)
+        sweeps = shrinkage.descend(amplitudes, *problem, t_convex, tolerance, most_sweeps)
         matched, gram, _, weights = problem
         return (objective(amplitudes, matched, gram, weights, t_convex), amplitudes,
-                sweeps <= MOST_SWEEPS)
+                sweeps <= most_sweeps)
 
     def objective_of(self, members: NDArray, t_convex: float) -> float:
         """Return F_t as far as it depends on some paths, all others fixed."""

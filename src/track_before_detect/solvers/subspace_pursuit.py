@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.solvers.path_search import PathSearch
-from track_before_detect.solvers.path_set import PathSet
+from track_before_detect.solvers.path_set import FEW_SWEEPS, MOST_SWEEPS, PathSet
 from track_before_detect.solvers.refinement import Refiner
 from track_before_detect.types import Step
 
@@ -32,12 +32,12 @@ from track_before_detect.types import Step
 MOST_NEW_PATHS = 64
 # Two paths that share this much of their energy in the mean frame may be one target.
 ALIKE = 0.3
-# Sweeps over all paths in one round, and the fall of F_t that makes another one worthwhile; adding
+# Passes over all paths in one round, and the fall of F_t that makes another one worthwhile; adding
 # a path gains some tens.
-MOST_SWEEPS = 5
+MOST_PASSES = 5
 WORTHWHILE = 0.5
-# A change has to lower F_t by more than the rounding of the sums.
-LEAST_GAIN = 1e-9
+# A change has to lower F_t by more than the rounding of the sums and of the amplitudes.
+LEAST_GAIN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ def pursue(search: PathSearch, refiner: Refiner, paths: PathSet, separation: flo
     for number, t_convex in enumerate(settings.continuation):
         last = number == len(settings.continuation) - 1
         tolerance = settings.tolerance if last else settings.stage_tolerance
-        stage = _Stage(search, refiner, paths, separation, t_convex)
+        stage = _Stage(search, refiner, paths, separation, t_convex, last)
         if number == 0 or last or t_convex == 1.0:
             largest, finished = stage.run(tolerance, settings.most_rounds, history)
         else:
@@ -150,14 +150,17 @@ def duality_gap(paths: PathSet, largest: float) -> float:
 class _Stage:
     """The pursuit at one value of t."""
 
-    def __init__(self, search, refiner, paths, separation, t_convex):
+    def __init__(self, search, refiner, paths, separation, t_convex, last):
         self._search = search
         self._refiner = refiner
         self._paths = paths
         self._separation = separation
         self._t = t_convex
-        # A stop rule for amplitudes only, far below their noise of one.
-        self._amplitude_tolerance = 1e-7
+        # Amplitudes have a noise of one; only a convex solution that is the last is wanted to
+        # more digits, for its certificate. Moving the many neighbours of a bright target until
+        # they settle would be wasted before the last stage: most vanish in the next.
+        self._amplitude_tolerance = 1e-7 if last and t_convex == 1.0 else 1e-4
+        self._most_passes = MOST_PASSES if last and t_convex < 1 else 1
 
     def run(self, tolerance, most_rounds, history):
         """Alternate between improving the paths at hand and searching for new ones."""
@@ -222,11 +225,9 @@ class _Stage:
         paths = self._paths
         fitted = True
         for members in paths.clusters():
-            fitted = self._fit(members) and fitted
+            fitted = self._fit(members, MOST_SWEEPS) and fitted
         self._drop_empty()
-        # At t = 1 nothing is merged yet, and moving the many neighbours of a bright target until
-        # they settle is wasted: most of them vanish in the next stage.
-        for _ in range(1 if self._t == 1.0 else MOST_SWEEPS):
+        for _ in range(self._most_passes):
             before = paths.objective(self._t)
             order = np.argsort(np.linalg.norm(paths.amplitudes, axis=1))
             # Paths are told apart by their arrays, for removing one renumbers the rest.
@@ -236,15 +237,15 @@ class _Stage:
                 if path is None:
                     continue
                 if not self._remove_if_better(path) and self._refine(path):
-                    fitted = self._fit(self._paths.neighbours(path)) and fitted
+                    self._fit(paths.neighbours(path))
             self._drop_empty()
             if before - paths.objective(self._t) < WORTHWHILE:
                 break
         return fitted
 
-    def _fit(self, members):
-        _, amplitudes, converged = self._paths.fitted(members, self._t,
-                                                      self._amplitude_tolerance)
+    def _fit(self, members, most_sweeps=FEW_SWEEPS):
+        _, amplitudes, converged = self._paths.fitted(
+            members, self._t, self._amplitude_tolerance, most_sweeps)
         self._paths.assign(members, amplitudes)
         return converged
 

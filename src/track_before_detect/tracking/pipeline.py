@@ -130,5 +130,10 @@ def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch) -> Traj
         velocity = np.gradient(positions, prepared.stamps, axis=0)
     else:
         velocity = np.zeros_like(positions)
+    # A path on the registered plane may leave the view of a frame; it is absent from that frame.
+    outside = np.any((positions < -0.5) | (positions > [width - 0.5, height - 0.5]), axis=1)
+    positions[outside] = np.nan
+    velocity[outside] = np.nan
+    amplitudes[outside] = np.nan
     return Trajectory(0, positions, amplitudes, velocity, prepared.stamps,
                       prepared.frame_indices, found.statistic, found.snr)
