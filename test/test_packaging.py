@@ -20,7 +20,7 @@ MODULES = sorted(SOURCE.rglob('*.py'))
 # names without a suffix are modules; everything else is a folder.
 BASICS = {'errors', 'types', 'options'}
 ALLOWED = {
-    '__init__': BASICS | {'detect'},
+    '__init__': BASICS | {'detection'},
     'errors': set(),
     'types': set(),
     'options': {'errors'},
@@ -31,8 +31,8 @@ ALLOWED = {
     'tracking': BASICS | {'kernels', 'models', 'preprocess', 'solvers'},
     'recordings': BASICS,
     'simulation': BASICS | {'models'},
-    'detect': BASICS | {'preprocess', 'solvers', 'tracking'},
-    'cli': BASICS | {'__init__', 'detect', 'recordings', 'simulation', 'tracking'},
+    'detection': BASICS | {'preprocess', 'solvers', 'tracking'},
+    'cli': BASICS | {'__init__', 'detection', 'recordings', 'simulation', 'tracking'},
     'ros': BASICS | {'__init__', 'recordings', 'simulation', 'tracking'},
 }
 

@@ -1,6 +1,7 @@
 """Find dim moving targets in sequences of frames where no single frame shows them."""
 
-from track_before_detect.detect import detect
+from typing import Any, TYPE_CHECKING
+
 from track_before_detect.errors import (
     DataError,
     MissingExtraError,
@@ -9,6 +10,9 @@ from track_before_detect.errors import (
 )
 from track_before_detect.options import DetectorOptions
 from track_before_detect.types import DetectionResult, Step, Trajectory
+
+if TYPE_CHECKING:
+    from track_before_detect.detection import detect
 
 __version__ = '0.1.0'
 
@@ -23,3 +27,11 @@ __all__ = [
     'Trajectory',
     'detect',
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """Import the detection when it is first asked for: loading the compiler takes a second."""
+    if name == 'detect':
+        from track_before_detect.detection import detect
+        return detect
+    raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
