@@ -124,6 +124,21 @@ def test_nothing_is_found_at_the_largest_statistic_and_something_just_below():
     assert len(solve(frames, (1.0,), threshold=largest * 0.999, tolerance=1e-4)[0].paths) > 0
 
 
+@pytest.mark.parametrize('seed', range(4))
+def test_every_path_of_a_crowd_passes_its_weight(seed):
+    generator = np.random.default_rng(seed)
+    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0)
+    for _ in range(25):
+        maker.add(straight(*generator.uniform(6, 17, 2), *generator.uniform(-0.5, 0.5, 2)), 0.0)
+        maker.assign(np.array([len(maker) - 1]), generator.uniform(2, 9, (1, T)))
+    noise = generator.standard_normal((T, H, W)).astype(np.float32)
+    result, _ = solve(noise - maker.residual, (1.0, 0.8, 0.6, 0.4, 0.2, 0.0))
+    paths = result.paths
+    assert len(paths) > 5
+    for path in range(len(paths)):
+        assert np.linalg.norm(np.maximum(paths.statistics(path), 0)) >= paths.weights[path]
+
+
 def test_masked_pixels_do_not_count():
     frames = scene('far apart', 3)
     valid = np.ones(frames.shape, bool)

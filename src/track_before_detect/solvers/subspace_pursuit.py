@@ -241,7 +241,28 @@ class _Stage:
             self._drop_empty()
             if before - paths.objective(self._t) < WORTHWHILE:
                 break
+        if self._t < 1:
+            self._prune()
         return fitted
+
+    def _prune(self):
+        """Remove paths that no longer pass their weight beside all others, the weakest first.
+
+        With the others as they are, F_t falls by 1/2 (1 - t)^2 w^2 - 1/2 (eta - t w)^2, which is
+        positive exactly when the statistic eta is below the weight w.
+        """
+        paths = self._paths
+        while len(paths):
+            excess = np.array([np.linalg.norm(np.maximum(paths.statistics(path), 0))
+                               for path in range(len(paths))]) - paths.weights
+            weakest = int(np.argmin(excess))
+            if excess[weakest] >= 0:
+                return
+            others = paths.neighbours(weakest)
+            others = others[others != weakest]
+            paths.remove(np.array([weakest]))
+            if len(others):
+                self._fit(others - (others > weakest))
 
     def _fit(self, members, most_sweeps=FEW_SWEEPS):
         _, amplitudes, converged = self._paths.fitted(
