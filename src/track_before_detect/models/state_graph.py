@@ -110,8 +110,9 @@ def build_state_graph(stamps: NDArray, *, step_px: float, max_speed: float,
         velocity_step = STEPS_PER_SEGMENT * step_px / max(span - interval, interval)
     else:
         velocity_step = STEPS_PER_SEGMENT * step_px / (span / n_segments)
-    reach = max(1, round(max_acceleration * span / n_segments / velocity_step))
     grid, row_first, row_x = _disc(max_speed / velocity_step)
+    reach = max(1, round(max_acceleration * span / n_segments / velocity_step))
+    reach = min(reach, max(1, 2 * int(grid.max())))
     velocities = grid * velocity_step
 
     moves = np.zeros((n_frames, len(grid), 2), np.int32)

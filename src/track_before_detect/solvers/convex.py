@@ -29,8 +29,10 @@ from track_before_detect.types import Step
 TURN_COST = 3.0
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
 INTERVALS_TO_MAX_SPEED = 30
-# Memory for the tables of one search; a faster or longer search is cut down to fit.
+# Memory for the tables of one search, and comparisons made to fill them (some seconds of one
+# core); a wider search is cut down to fit.
 MOST_TABLE_BYTES = 2 * 2**30
+MOST_COMPARISONS = 8e9
 
 _LOG = logging.getLogger(__name__)
 
@@ -107,20 +109,19 @@ class ConvexDetector:
             speed * interval, acceleration * interval**2))
         graph = self._graph(stamps, speed, acceleration)
         fitting = speed
-        while self._table_bytes(graph, shape) > MOST_TABLE_BYTES:
+        while not self._affordable(graph, shape):
             if graph.n_velocities == 1:
                 raise ParameterError(
-                    f'a batch of {len(stamps)} frames of {shape[1]} x {shape[0]} pixels needs '
-                    f'{self._table_bytes(graph, shape) / 2**30:.1f} GiB, more than '
-                    f'{MOST_TABLE_BYTES / 2**30:.0f} GiB: lower batch_length')
+                    f'a batch of {len(stamps)} frames of {shape[1]} x {shape[0]} pixels is too '
+                    f'large to search, even for targets that stand still: lower batch_length')
             fitting *= 0.95
             graph = self._graph(stamps, fitting, acceleration)
         if fitting < speed and not self._warned:
             self._warned = True
             _LOG.warning(
-                'speeds up to %.3g px/s would need more than %.0f GiB; searched up to %.3g px/s. '
-                'A lower max_speed_px_s or batch_length, or a wider psf_sigma_px, avoids this',
-                speed / interval, MOST_TABLE_BYTES / 2**30, fitting / interval)
+                'the search for speeds up to %.3g px/s would be too large; it is made up to '
+                '%.3g px/s. A lower max_speed_px_s, max_acceleration_px_s2 or batch_length, or '
+                'a wider psf_sigma_px, avoids this', speed / interval, fitting / interval)
         return graph
 
     def _graph(self, stamps, speed, acceleration):
@@ -128,9 +129,11 @@ class ConvexDetector:
             regular_stamps(stamps), step_px=1 / self._psf.oversampling, max_speed=speed,
             max_acceleration=acceleration, turn_cost=TURN_COST)
 
-    def _table_bytes(self, graph, shape):
+    def _affordable(self, graph, shape):
         positions = np.prod([(n - 1) * self._psf.oversampling + 1.0 for n in shape])
-        return 4 * graph.n_segments * graph.n_velocities * positions
+        states = graph.n_segments * graph.n_velocities * positions
+        return (4 * states <= MOST_TABLE_BYTES
+                and states * (1 + 4 * graph.reach) <= MOST_COMPARISONS)
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
                   progress: Callable[[str, float], None] | None = None) -> float:
