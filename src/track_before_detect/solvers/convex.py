@@ -143,7 +143,8 @@ class ConvexDetector:
         key = (tuple(regular_stamps(stamps)), self._interval_key(stamps), shape)
         if key not in self._thresholds:
             self._thresholds[key] = threshold_for(
-                self.graph(stamps, shape), self._psf, shape, self._options.false_alarm_rate, progress)
+                self.graph(stamps, shape), self._psf, shape, self._options.false_alarm_rate,
+                progress)
         return self._thresholds[key]
 
     def _interval_key(self, stamps):
