@@ -32,7 +32,10 @@ ALLOWED = {
     'recordings': BASICS,
     'simulation': BASICS | {'models'},
     'detection': BASICS | {'preprocess', 'solvers', 'tracking'},
-    'cli': BASICS | {'__init__', 'detection', 'recordings', 'simulation', 'tracking'},
+    'evaluation': BASICS | {'__init__', 'models', 'recordings', 'simulation', 'solvers',
+                            'tracking'},
+    'cli': BASICS | {'__init__', 'detection', 'evaluation', 'recordings', 'simulation',
+                     'tracking'},
     'ros': BASICS | {'__init__', 'recordings', 'simulation', 'tracking'},
 }
 

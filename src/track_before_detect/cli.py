@@ -9,6 +9,7 @@ import importlib.util
 import logging
 import os
 from pathlib import Path
+import shlex
 import sys
 import tempfile
 import textwrap
@@ -63,6 +64,19 @@ examples:
   tbd simulate --list
   tbd simulate three_targets --seed 7 --output three.npz
   tbd simulate crossing --seed 7 --set snr=2.5 --set n_frames=40 --output crossing.npz
+"""
+
+_EVALUATE_EXAMPLES = """\
+examples:
+  tbd evaluate --list
+  tbd evaluate detection --runs 200 --seed 1 --output evaluation
+"""
+
+_BENCH_EXAMPLES = """\
+examples:
+  tbd bench convex --output bench.json
+  on one core only, where the system has taskset:
+    taskset -c 0 tbd bench convex --output one_core.json
 """
 
 
@@ -141,6 +155,19 @@ class _ListScenarios(argparse.Action):
         parser.exit()
 
 
+class _ListSuites(argparse.Action):
+    """Print all suites and exit."""
+
+    def __init__(self, option_strings, dest, **kwargs):
+        super().__init__(option_strings, dest, nargs=0, **kwargs)
+
+    def __call__(self, parser, *_):
+        from track_before_detect.evaluation.suites import SUITES
+        for name, suite in SUITES.items():
+            print(f'  {name}\n{_indented(suite.description)}')
+        parser.exit()
+
+
 def _parser():
     parser = _Parser(
         prog='tbd', epilog=_MAIN_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter,
@@ -151,6 +178,8 @@ def _parser():
     commands = parser.add_subparsers(title='commands', metavar='COMMAND', dest='command')
     _add_detect(commands)
     _add_simulate(commands)
+    _add_evaluate(commands)
+    _add_bench(commands)
     return parser
 
 
@@ -201,6 +230,85 @@ def _add_simulate(commands):
                                  help='set one parameter of the scenario; may be repeated')
     simulate_parser.add_argument('--list', action=_ListScenarios,
                                  help='list the scenarios and their parameters')
+
+
+def _add_evaluate(commands):
+    evaluate = commands.add_parser(
+        'evaluate', help='repeat a study over many simulated recordings',
+        epilog=_EVALUATE_EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter,
+        description='Repeat a study over many simulated recordings, print its table and write to '
+        'DIR:\n'
+        '  report.md     the table with 95 % intervals, and the command that made it\n'
+        '  SUITE.csv     one row per run\n'
+        '  SUITE.png     the picture of the report\n'
+        '  summary.json  the table with settings and machine')
+    evaluate.set_defaults(run=_evaluate)
+    evaluate.add_argument('suite', metavar='SUITE', help='name of the study; see --list')
+    evaluate.add_argument('--runs', metavar='N', type=int, default=100,
+                          help='how often it is repeated (default: 100)')
+    evaluate.add_argument('--seed', metavar='S', type=int, default=0,
+                          help='the same seed gives the same recordings (default: 0)')
+    evaluate.add_argument('--output', metavar='DIR', default='evaluation',
+                          help='folder for the results, made when missing; files of an earlier '
+                          'run are replaced (default: evaluation)')
+    evaluate.add_argument('--list', action=_ListSuites, help='list the suites')
+
+
+def _add_bench(commands):
+    bench = commands.add_parser(
+        'bench', help='measure time and memory on this machine', epilog=_BENCH_EXAMPLES,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        description='Measure time and memory of a detector on simulated frames, stage by stage; '
+        'print a\ntable and write it as JSON with a description of the machine.')
+    bench.set_defaults(run=_bench)
+    bench.add_argument('bench', metavar='BENCH', nargs='?', default='convex',
+                       help='what is measured: convex (default)')
+    bench.add_argument('--output', metavar='FILE.json', default='bench.json',
+                       help='file to write (default: bench.json)')
+    bench.add_argument('--repeats', metavar='R', type=int, default=7,
+                       help='measurements of each stage (default: 7)')
+    bench.add_argument('--large', action='store_true',
+                       help='also measure frames of 640 x 512 px, which takes minutes and '
+                       'several gigabytes')
+
+
+def _evaluate(arguments):
+    from track_before_detect.evaluation.report import (
+        require_matplotlib,
+        table_text,
+        write_suite_result,
+    )
+    from track_before_detect.evaluation.suites import suite_named
+
+    suite = suite_named(arguments.suite)
+    output = Path(arguments.output)
+    _check_folder(output)
+    require_matplotlib()
+    command = shlex.join(['tbd', 'evaluate', arguments.suite, '--runs', str(arguments.runs),
+                          '--seed', str(arguments.seed), '--output', arguments.output])
+    with _Progress(sys.stderr) as progress:
+        result = suite.run(arguments.runs, arguments.seed, progress)
+    written = write_suite_result(output, arguments.suite, result, command)
+    print(table_text(result.quantities))
+    print(f'written: {", ".join(map(str, written))}')
+    return FOUND
+
+
+def _bench(arguments):
+    from track_before_detect.evaluation.bench import bench_named, bench_table, convex_cases
+
+    bench = bench_named(arguments.bench)
+    output = Path(arguments.output)
+    if output.suffix != '.json':
+        raise ParameterError(f'--output must end with .json, got {output}')
+    if not output.parent.is_dir():
+        raise ParameterError(f'folder {output.parent} of --output does not exist')
+    with _Progress(sys.stderr) as progress:
+        measured = bench(arguments.repeats, convex_cases(arguments.large), progress)
+    write_summary_json(output, measured)
+    print(bench_table(measured))
+    print(f'written: {output}')
+    return FOUND
 
 
 def _simulate(arguments):
@@ -298,6 +406,15 @@ def _options_among_parameters(path, parameters):
 
 def _check_output(output, overlay):
     """Refuse before the work what could not be written after it."""
+    _check_folder(output)
+    if overlay and importlib.util.find_spec('matplotlib') is None:
+        raise MissingExtraError(
+            "overlay.png needs matplotlib: pip install 'track_before_detect[plots]', or give "
+            '--no-overlay')
+
+
+def _check_folder(output):
+    """Refuse a folder that could not be made or written to."""
     existing = output
     while not existing.exists() and existing != existing.parent:
         existing = existing.parent
@@ -305,10 +422,6 @@ def _check_output(output, overlay):
         raise ParameterError(f'--output must be a folder, but {existing} is a file')
     if not os.access(existing, os.W_OK | os.X_OK):
         raise ParameterError(f'--output {output} cannot be written: no permission in {existing}')
-    if overlay and importlib.util.find_spec('matplotlib') is None:
-        raise MissingExtraError(
-            "overlay.png needs matplotlib: pip install 'track_before_detect[plots]', or give "
-            '--no-overlay')
 
 
 def _summary(recording: Recording, options, result: DetectionResult, seconds) -> dict[str, Any]:

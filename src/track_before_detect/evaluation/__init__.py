@@ -1,0 +1,1 @@
+"""Studies over many simulated recordings, and timings."""

@@ -1,0 +1,261 @@
+"""Time and memory of the convex detector, stage by stage, with the machine described.
+
+Every case runs in a process of its own, so that its peak memory is its own; the stages of a case
+take turns, so that whatever else the machine does falls on all of them alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+import dataclasses
+import difflib
+import multiprocessing
+import resource
+import signal
+import sys
+import time
+from typing import Any
+
+import numpy as np
+
+from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.evaluation.machine import describe_machine, machine_line
+from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.options import DetectorOptions
+from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.solvers.convex import ConvexDetector
+from track_before_detect.solvers.path_search import PathSearch
+
+Progress = Callable[[str, float], None]
+
+REPEATS = 7
+SEED = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Case:
+    """One batch that is searched; fields as in the scenarios of the simulation."""
+
+    name: str
+    scenario: str
+    overrides: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+
+_SMALL = {'height': 128, 'width': 128, 'n_frames': 20}
+_LARGE = {'height': 512, 'width': 640, 'n_frames': 20}
+_SCENES: tuple[tuple[str, str, dict[str, Any]], ...] = (
+    ('noise', 'noise', {}),
+    ('three targets, SNR 3', 'three_targets', {'snr': 3.0}),
+    ('six targets, SNR 5', 'three_targets', {'n_targets': 6, 'snr': 5.0}),
+)
+
+
+def convex_cases(large: bool) -> list[Case]:
+    """Return what ``tbd bench convex`` measures."""
+    sizes = [_SMALL, _LARGE] if large else [_SMALL]
+    return [Case(name, scenario, {**size, **overrides})
+            for size in sizes for name, scenario, overrides in _SCENES]
+
+
+def bench_convex(repeats: int, cases: Sequence[Case], progress: Progress) -> dict[str, Any]:
+    """Measure the convex detector.
+
+    Parameters
+    ----------
+    repeats : int
+        Measurements of each stage.
+    cases : sequence of Case
+        What to search.
+    progress : callable
+        Called with a label and the share done, 0 to 1.
+
+    Returns
+    -------
+    dict
+        ``bench``, ``seed``, ``repeats``, ``machine`` and ``cases``; times in seconds, memory in
+        bytes.
+    """
+    if repeats < 1:
+        raise ParameterError(f'repeats must be at least 1, got {repeats}')
+    measured = []
+    for number, case in enumerate(cases):
+        progress('measuring', number / len(cases))
+        measured.append(_in_own_process(measure_case, case, repeats))
+    progress('measuring', 1.0)
+    return {'bench': 'convex', 'seed': SEED, 'repeats': repeats, 'machine': describe_machine(),
+            'cases': measured}
+
+
+def measure_case(case: Case, repeats: int) -> dict[str, Any]:
+    """Measure one case in this process."""
+    made = simulate(case.scenario, SEED, **case.overrides)
+    options = DetectorOptions(psf_sigma_px=made.scenario.psf_sigma_px)
+    # Compilation and calibration are not what a warm batch costs.
+    small = simulate(case.scenario, SEED, **{**case.overrides, 'height': 64, 'width': 64,
+                                             'separation_px': 0.0})
+    ConvexDetector(options).detect(small.frames, small.stamps)
+    # One after the other, so that the tables of the first are gone when the second makes its own.
+    return {
+        'name': case.name,
+        'scenario': case.scenario,
+        'overrides': dict(case.overrides),
+        'n_frames': len(made.frames),
+        'height_px': made.frames.shape[1],
+        'width_px': made.frames.shape[2],
+        **_measure_detection(made, options, repeats),
+        **_measure_stages(made, options, repeats),
+    }
+
+
+def _measure_detection(made, options, repeats):
+    """Measure whole detections."""
+    before = _peak_memory()
+    detector = ConvexDetector(options)
+    result = detector.detect(made.frames, made.stamps)
+    [seconds] = _timed([lambda: detector.detect(made.frames, made.stamps)], repeats)
+    return {
+        'n_trajectories': len(result.found),
+        'peak_memory_bytes': _peak_memory(),
+        'peak_memory_before_bytes': before,
+        'detection': _summary(seconds),
+    }
+
+
+def _measure_stages(made, options, repeats):
+    """Measure the stages of a search on one thread, and a copy of the table it fills."""
+    shape = made.frames.shape[1:]
+    graph = ConvexDetector(options).graph(made.stamps, shape)
+    search = PathSearch(graph, GaussianPsf(options.psf_sigma_px), shape)
+    scores = search.scores(made.frames)
+    search.run(scores)
+    n_y, n_x = search.grid_shape
+    table = np.ones((graph.n_segments, n_y, graph.n_velocities, n_x), np.float32)
+    # A first copy makes the system hand out the memory.
+    copy = table.copy()
+    filtering, searching, copying = _timed(
+        [lambda: search.scores(made.frames), lambda: search.run(scores),
+         lambda: np.copyto(copy, table)], repeats)
+    n_frame_states = graph.n_frames * graph.n_velocities * n_y * n_x
+    least, least_copy = searching[:, 0].min(), copying[:, 0].min()
+    return {
+        'n_segments': graph.n_segments,
+        'n_velocities': graph.n_velocities,
+        'n_positions': n_y * n_x,
+        'n_states': table.size,
+        'n_frame_states': n_frame_states,
+        'table_bytes': table.nbytes,
+        'matched_filter': _summary(filtering),
+        'path_search': _summary(searching),
+        'table_copy': _summary(copying),
+        'path_search_states_per_s': float(table.size / least),
+        'path_search_frame_states_per_s': float(n_frame_states / least),
+        'path_search_over_copy': {
+            'of_minima': float(least / least_copy),
+            'median': float(np.median(searching[:, 0] / copying[:, 0])),
+        },
+    }
+
+
+def bench_table(measured: Mapping[str, Any]) -> str:
+    """Return the measurements as text."""
+    rows = [('frames', 'scene', 'found', 'detection', 'its CPU', 'scores*', 'path search*',
+             'copy*', 'search/copy*', 'ns/state*', 'ns/frame state*', 'peak MiB')]
+    for case in measured['cases']:
+        ratio = case['path_search_over_copy']
+        rows.append((
+            f'{case["n_frames"]} x {case["width_px"]} x {case["height_px"]}', case['name'],
+            str(case['n_trajectories']), _ms(case['detection']['wall_s']),
+            _ms(case['detection']['cpu_s']), _ms(case['matched_filter']['wall_s']),
+            _ms(case['path_search']['wall_s']), _ms(case['table_copy']['wall_s']),
+            f'{ratio["of_minima"]:.2f} ({ratio["median"]:.2f})',
+            f'{1e9 / case["path_search_states_per_s"]:.2f}',
+            f'{1e9 / case["path_search_frame_states_per_s"]:.2f}',
+            f'{case["peak_memory_bytes"] / 2**20:.0f}'))
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = ['  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+             for row in rows]
+    tables = '; '.join(dict.fromkeys(
+        f'{case["width_px"]} x {case["height_px"]} px: {case["n_segments"]} segments x '
+        f'{case["n_velocities"]} velocities x {case["n_positions"]} positions'
+        for case in measured['cases']))
+    lines += [
+        f'Times in ms, least of {measured["repeats"]} (median in brackets); * on one thread.',
+        f'States are the entries of the table that a path search fills ({tables}); frame states '
+        'count frames in place of segments.',
+        f'{machine_line()}.',
+    ]
+    return '\n'.join(lines)
+
+
+BENCHES: dict[str, Callable[[int, Sequence[Case], Progress], dict[str, Any]]] = {
+    'convex': bench_convex,
+}
+
+
+def bench_named(name: str) -> Callable[[int, Sequence[Case], Progress], dict[str, Any]]:
+    """Return a bench, or say which there are."""
+    if name not in BENCHES:
+        close = difflib.get_close_matches(name, BENCHES, n=1)
+        hint = f'did you mean {close[0]}?' if close else f'known: {", ".join(BENCHES)}'
+        raise ParameterError(f'unknown bench {name!r}; {hint}')
+    return BENCHES[name]
+
+
+def _timed(stages, repeats):
+    """Return wall and CPU seconds of stages that take turns, shape (stages, repeats, 2)."""
+    seconds = np.empty((len(stages), repeats, 2))
+    for repeat in range(repeats):
+        for number, stage in enumerate(stages):
+            wall, cpu = time.perf_counter(), time.process_time()
+            stage()
+            seconds[number, repeat] = time.perf_counter() - wall, time.process_time() - cpu
+    return seconds
+
+
+def _summary(seconds):
+    return {clock: {'min': float(seconds[:, column].min()),
+                    'median': float(np.median(seconds[:, column]))}
+            for column, clock in enumerate(('wall_s', 'cpu_s'))}
+
+
+def _ms(times):
+    return f'{1e3 * times["min"]:.3g} ({1e3 * times["median"]:.3g})'
+
+
+def _peak_memory():
+    """Return the largest resident memory of this process so far in bytes."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == 'darwin' else 1024 * peak
+
+
+def _in_own_process(function, *arguments):
+    """Return what a function returns in a new process, which ends with it."""
+    context = multiprocessing.get_context('spawn')
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_send_result, args=(sender, function, arguments),
+                              daemon=True)
+    process.start()
+    sender.close()
+    try:
+        succeeded, outcome = receiver.recv()
+    except EOFError:
+        process.join()
+        raise DataError(
+            f'a measurement was ended by the system (exit code {process.exitcode}), as it does '
+            'when memory runs out') from None
+    finally:
+        process.terminate()
+        process.join()
+    if not succeeded:
+        raise outcome
+    return outcome
+
+
+def _send_result(sender, function, arguments):
+    """Call a function and send what it returns or raises."""
+    # An interruption reaches the whole group; the parent ends this process then.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        sender.send((True, function(*arguments)))
+    except Exception as error:  # handed on to the parent, which raises it
+        sender.send((False, error))

@@ -1,0 +1,64 @@
+"""Which trajectory found which target."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+# A trajectory in fewer of a target's frames than this share has not found it.
+LEAST_OVERLAP = 0.5
+
+
+@dataclass(frozen=True)
+class Matching:
+    """Pairs of trajectory and target; each is in one pair at most.
+
+    Attributes
+    ----------
+    pairs : array of int, shape (K, 2)
+        Index of the trajectory, index of the target.
+    distances : array, shape (K, T)
+        Pixels between the two in each frame; NaN where either is absent.
+    """
+
+    pairs: NDArray[np.int64]
+    distances: NDArray[np.float64]
+
+
+def match_trajectories(found: Sequence[NDArray] | NDArray,
+                       targets: Sequence[NDArray] | NDArray, limit_px: float) -> Matching:
+    """Pair trajectories with targets: as many as possible, then as close as possible.
+
+    Parameters
+    ----------
+    found : sequence of array, shape (T, 2)
+        Positions of each trajectory in pixels; NaN where absent.
+    targets : sequence of array, shape (T, 2)
+        Positions of each target, likewise.
+    limit_px : float
+        Two are a pair only where their mean distance over common frames is below this, and the
+        trajectory is there in at least half of the target's frames.
+
+    Returns
+    -------
+    Matching
+    """
+    n_frames = len(targets[0]) if len(targets) else 0
+    if not len(found) or not len(targets):
+        return Matching(np.zeros((0, 2), np.int64), np.zeros((0, n_frames)))
+    distances = np.linalg.norm(
+        np.asarray(found, float)[:, None] - np.asarray(targets, float)[None], axis=3)
+    common = np.isfinite(distances)
+    n_common = common.sum(axis=2)
+    mean = np.where(common, distances, 0).sum(axis=2) / np.maximum(n_common, 1)
+    n_present = np.isfinite(np.asarray(targets, float)).all(axis=2).sum(axis=1)
+    good = (n_common >= LEAST_OVERLAP * n_present) & (n_common > 0) & (mean < limit_px)
+    # A pair that does not count costs more than all pairs that do.
+    price = np.where(good, mean, (min(good.shape) + 1) * limit_px)
+    pairs = np.column_stack(linear_sum_assignment(price))
+    pairs = pairs[good[pairs[:, 0], pairs[:, 1]]]
+    return Matching(pairs, distances[pairs[:, 0], pairs[:, 1]])

@@ -1,0 +1,46 @@
+"""The suites of ``tbd evaluate`` by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import difflib
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation.detection_suite import run_detection
+from track_before_detect.evaluation.report import SuiteResult
+
+Progress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A study that can be repeated.
+
+    Attributes
+    ----------
+    description : str
+        What it finds out.
+    run : callable
+        Told the number of runs, the seed and a progress callable, returns a SuiteResult.
+    """
+
+    description: str
+    run: Callable[[int, int, Progress], SuiteResult]
+
+
+SUITES: dict[str, Suite] = {
+    'detection': Suite(
+        'The convex detector on three targets at SNR 3 (N runs) and on noise alone (2 N runs): '
+        'targets found, false trajectories, accuracy, time, realised false alarm rate.',
+        run_detection),
+}
+
+
+def suite_named(name: str) -> Suite:
+    """Return a suite, or say which there are."""
+    if name not in SUITES:
+        close = difflib.get_close_matches(name, SUITES, n=1)
+        hint = f'did you mean {close[0]}?' if close else f'known: {", ".join(SUITES)}'
+        raise ParameterError(f'unknown suite {name!r}; {hint}')
+    return SUITES[name]
