@@ -54,6 +54,12 @@ class DetectorOptions:
     motion_model: str = _option(
         'nearly_constant_velocity', 'Which motions are searched.', kind='text',
         choices=('nearly_constant_velocity', 'constant_velocity', 'static'))
+    amplitudes: str = _option(
+        'non-negative', 'Sign of a target beside the background.', kind='text',
+        choices=('non-negative', 'signed'))
+    amplitude_model: str = _option(
+        'fluctuating', 'Whether the amplitude may differ from frame to frame; constant finds '
+        'dimmer targets, if theirs is.', kind='text', choices=('fluctuating', 'constant'))
     false_alarm_rate: float = _option(
         0.05, 'Probability that a batch without targets yields a trajectory.', kind='number',
         above=0.0, maximum=0.5)

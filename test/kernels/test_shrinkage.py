@@ -5,13 +5,14 @@ import pytest
 
 import naive
 from track_before_detect.kernels import shrinkage
+from track_before_detect.models.amplitudes import CONSTANT, NON_NEGATIVE, SIGNED
 
 
 @pytest.mark.parametrize('weight', [0.0, 0.7, 2.0, 9.0])
 def test_shrink_equals_closed_form(weight):
     row = np.random.default_rng(1).standard_normal(6) * 2
     expected = naive.shrink(row, weight)
-    shrinkage.shrink(row, weight)
+    shrinkage.shrink(row, weight, NON_NEGATIVE)
     np.testing.assert_allclose(row, expected, atol=1e-12)
 
 
@@ -19,7 +20,7 @@ def test_shrink_equals_closed_form(weight):
 def test_shrink_beats_a_grid_search(weight):
     target = np.array([1.3, -0.4])
     best = target.copy()
-    shrinkage.shrink(best, weight)
+    shrinkage.shrink(best, weight, NON_NEGATIVE)
 
     def value(x, y):
         return (0.5 * ((x - target[0])**2 + (y - target[1])**2)
@@ -31,6 +32,22 @@ def test_shrink_beats_a_grid_search(weight):
 
 
 ALL = np.ones((5, 5), bool)
+
+
+@pytest.mark.parametrize(('code', 'allowed'), [
+    (SIGNED, lambda x, y: True), (CONSTANT, lambda x, y: x == y)])
+def test_shrink_of_other_models_beats_a_grid_search(code, allowed):
+    target = np.array([1.3, -0.45])
+    best = target.copy()
+    shrinkage.shrink(best, 0.3, code)
+    assert allowed(*best)
+
+    def value(x, y):
+        return 0.5 * ((x - target[0])**2 + (y - target[1])**2) + 0.3 * np.hypot(x, y)
+
+    grid = np.linspace(-2, 2, 401)
+    points = np.meshgrid(grid, grid) if code == SIGNED else (grid[200:], grid[200:])
+    assert value(*best) <= value(*points).min() + 1e-12
 
 
 def problem(seed, n_paths=5, n_frames=4):
@@ -50,7 +67,8 @@ def test_descent_reaches_the_optimality_conditions(seed, t):
     matched, gram = problem(seed)
     weights = np.array([3.0, 3.1, 3.0, 3.5, 3.0])
     amplitudes = np.zeros(matched.shape)
-    sweeps = shrinkage.descend(amplitudes, matched, gram, ALL, weights, t, 1e-12, 200000)
+    sweeps = shrinkage.descend(amplitudes, matched, gram, ALL, weights, t, NON_NEGATIVE, 1e-12,
+                               200000)
     assert sweeps <= 200000
     gradient = np.einsum('pqt,qt->pt', gram, amplitudes) - matched
     for row, slope, weight in zip(amplitudes, gradient, weights, strict=True):
@@ -69,7 +87,7 @@ def test_each_sweep_lowers_the_objective():
     amplitudes = np.zeros(matched.shape)
     values = [naive.convex_objective(amplitudes, matched, gram, weights, 1.0)]
     for _ in range(30):
-        shrinkage.descend(amplitudes, matched, gram, ALL, weights, 1.0, 0.0, 1)
+        shrinkage.descend(amplitudes, matched, gram, ALL, weights, 1.0, NON_NEGATIVE, 0.0, 1)
         values.append(naive.convex_objective(amplitudes, matched, gram, weights, 1.0))
     assert (np.diff(values) <= 1e-10).all()
     assert values[-1] < values[0]

@@ -3,6 +3,12 @@
 import numpy as np
 import pytest
 
+from track_before_detect.models.amplitudes import (
+    AmplitudeModel,
+    CONSTANT,
+    NON_NEGATIVE,
+    SIGNED,
+)
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph
 from track_before_detect.solvers.path_search import PathSearch
@@ -14,6 +20,7 @@ from track_before_detect.solvers.subspace_pursuit import (
     PursuitSettings,
 )
 
+MODEL = AmplitudeModel(NON_NEGATIVE)
 NO_MASK = np.zeros((0, 0, 0), bool)
 T, H, W = 8, 24, 30
 STAMPS = np.arange(float(T))
@@ -34,22 +41,22 @@ SCENES = {
 
 def scene(name, seed):
     frames = np.random.default_rng(seed).standard_normal((T, H, W)).astype(np.float32)
-    paths = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0)
+    paths = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
     for positions, amplitude in SCENES[name]:
         paths.add(positions, 0.0)
         paths.assign(np.array([len(paths) - 1]), np.full((1, T), amplitude))
     return frames - paths.residual
 
 
-def solve(frames, continuation, threshold=6.5, mask=None, **settings):
+def solve(frames, continuation, threshold=6.5, mask=None, model=MODEL, **settings):
     psf = GaussianPsf(1.0)
     graph = build_state_graph(STAMPS, step_px=0.5, max_speed=1.0, max_acceleration=0.1,
-                              turn_cost=3.0)
-    search = PathSearch(graph, psf, (H, W))
+                              turn_cost=model.turn_cost)
+    search = PathSearch(graph, psf, (H, W), model)
     search.set_mask(mask)
     valid = NO_MASK if mask is None else mask
-    paths = PathSet(frames, valid, psf, threshold)
-    result = pursue(search, Refiner(graph, psf, STAMPS, valid), paths, 3.0,
+    paths = PathSet(frames, valid, psf, threshold, model)
+    result = pursue(search, Refiner(graph, psf, STAMPS, valid, model), paths, 3.0,
                     PursuitSettings(continuation, **settings))
     return result, search
 
@@ -90,7 +97,7 @@ def test_duality_gap_bounds_what_a_tighter_solution_gains(name):
 
 def test_duality_gap_of_nothing_is_zero_when_nothing_passes():
     frames = scene('empty', 1)
-    paths = PathSet(frames, NO_MASK, GaussianPsf(1.0), 50.0)
+    paths = PathSet(frames, NO_MASK, GaussianPsf(1.0), 50.0, MODEL)
     assert duality_gap(paths, 40.0) == pytest.approx(0, abs=1e-6 * paths.energy)
 
 
@@ -107,7 +114,7 @@ def test_each_target_of_a_scene_is_one_trajectory(name):
 @pytest.mark.parametrize('speed', [(0.0, 0.0), (0.37, -0.21), (0.81, 0.4)])
 def test_noise_free_target_is_recovered_exactly(speed):
     positions = straight(9.3, 12.7, *speed)
-    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0)
+    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
     maker.add(positions, 0.0)
     maker.assign(np.array([0]), np.linspace(8, 12, T)[None])
     result, _ = solve(-maker.residual, (1.0, 0.5, 0.0))
@@ -127,7 +134,7 @@ def test_nothing_is_found_at_the_largest_statistic_and_something_just_below():
 @pytest.mark.parametrize('seed', range(4))
 def test_every_path_of_a_crowd_passes_its_weight(seed):
     generator = np.random.default_rng(seed)
-    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0)
+    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
     for _ in range(25):
         maker.add(straight(*generator.uniform(6, 17, 2), *generator.uniform(-0.5, 0.5, 2)), 0.0)
         maker.assign(np.array([len(maker) - 1]), generator.uniform(2, 9, (1, T)))
@@ -136,7 +143,40 @@ def test_every_path_of_a_crowd_passes_its_weight(seed):
     paths = result.paths
     assert len(paths) > 5
     for path in range(len(paths)):
-        assert np.linalg.norm(np.maximum(paths.statistics(path), 0)) >= paths.weights[path]
+        assert MODEL.statistic(paths.seen(path)) >= paths.weights[path]
+
+
+@pytest.mark.parametrize('code', [SIGNED, CONSTANT])
+@pytest.mark.parametrize('name', ['far apart', 'crossing'])
+def test_other_amplitude_models_find_each_target_once(name, code):
+    model = AmplitudeModel(code)
+    threshold = 8.0 if code == SIGNED else 5.5
+    result, _ = solve(scene(name, 3), (1.0, 0.6, 0.2, 0.0), threshold, model=model)
+    assert result.status == 'converged'
+    assert len(result.paths) == len(SCENES[name])
+    for positions, _ in SCENES[name]:
+        errors = [np.hypot(*(other - positions).T).mean() for other in result.paths.positions]
+        assert min(errors) < 0.8
+    if code == CONSTANT:
+        assert np.ptp(result.paths.amplitudes, axis=1).max() < 1e-9
+
+
+def test_negative_target_is_found_only_when_signs_are_free():
+    frames = -scene('far apart', 3)
+    free, _ = solve(frames, (1.0, 0.5, 0.0), 8.0, model=AmplitudeModel(SIGNED))
+    assert len(free.paths) == 2 and (free.paths.amplitudes.mean(axis=1) < -2).all()
+    assert len(solve(frames, (1.0, 0.5, 0.0), 8.0)[0].paths) == 0
+
+
+@pytest.mark.parametrize('code', [SIGNED, CONSTANT])
+@pytest.mark.parametrize('name', ['close', 'bright', 'empty'])
+def test_other_amplitude_models_descend_to_a_certificate(name, code):
+    model = AmplitudeModel(code)
+    result, search = solve(scene(name, 5), (1.0,), 7.0, model=model, tolerance=1e-3)
+    assert (np.diff([step.objective for step in result.history]) <= 1e-6).all()
+    assert result.status == 'converged'
+    assert model.from_value(search.best_value(result.paths.residual)) <= 7.0 * 1.0011
+    assert 0 <= result.gap <= 1e-3 * result.history[-1].objective
 
 
 def test_masked_pixels_do_not_count():

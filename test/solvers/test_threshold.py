@@ -5,6 +5,7 @@ import logging
 import numpy as np
 import pytest
 
+from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph
 from track_before_detect.solvers import threshold as module
@@ -12,6 +13,7 @@ from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.threshold import regular_stamps, threshold_for
 
 PSF = GaussianPsf(2.0)
+MODEL = AmplitudeModel(NON_NEGATIVE)
 
 
 @pytest.fixture
@@ -30,8 +32,8 @@ def own_cache(tmp_path, monkeypatch):
 @pytest.mark.parametrize('rate', [0.3, 0.05])
 def test_realised_rate_in_noise_is_the_requested_one(graph, shape, rate):
     n_runs = 400
-    bound = threshold_for(graph, PSF, shape, rate)
-    search = PathSearch(graph, PSF, shape)
+    bound = threshold_for(graph, PSF, MODEL, shape, rate)
+    search = PathSearch(graph, PSF, shape, MODEL)
     generator = np.random.default_rng(11)
     found = sum(
         search.best_value(generator.standard_normal((6, *shape), dtype=np.float32)) > bound**2
@@ -42,24 +44,24 @@ def test_realised_rate_in_noise_is_the_requested_one(graph, shape, rate):
 
 
 def test_threshold_falls_with_the_rate_and_rises_with_the_area(graph):
-    values = [threshold_for(graph, PSF, (64, 64), rate) for rate in (0.001, 0.01, 0.1, 0.4)]
+    values = [threshold_for(graph, PSF, MODEL, (64, 64), rate) for rate in (0.001, 0.01, 0.1, 0.4)]
     assert (np.diff(values) < 0).all()
-    values = [threshold_for(graph, PSF, (n, n), 0.05) for n in (64, 128, 512)]
+    values = [threshold_for(graph, PSF, MODEL, (n, n), 0.05) for n in (64, 128, 512)]
     assert (np.diff(values) > 0).all()
 
 
 def test_second_calibration_comes_from_the_cache(graph, monkeypatch):
-    first = threshold_for(graph, PSF, (64, 64), 0.05)
+    first = threshold_for(graph, PSF, MODEL, (64, 64), 0.05)
     monkeypatch.setattr(module, '_simulate', None)
-    assert threshold_for(graph, PSF, (64, 64), 0.05) == first
+    assert threshold_for(graph, PSF, MODEL, (64, 64), 0.05) == first
 
 
 @pytest.mark.parametrize('content', [b'', b'not an array'])
 def test_spoilt_cache_is_made_anew(graph, own_cache, content):
-    first = threshold_for(graph, PSF, (64, 64), 0.05)
+    first = threshold_for(graph, PSF, MODEL, (64, 64), 0.05)
     for file in own_cache.rglob('*.npy'):
         file.write_bytes(content)
-    assert threshold_for(graph, PSF, (64, 64), 0.05) == first
+    assert threshold_for(graph, PSF, MODEL, (64, 64), 0.05) == first
 
 
 def test_cache_that_cannot_be_written_is_said_and_lived_with(graph, tmp_path, monkeypatch,
@@ -67,13 +69,13 @@ def test_cache_that_cannot_be_written_is_said_and_lived_with(graph, tmp_path, mo
     (tmp_path / 'file').write_text('')
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'file'))
     with caplog.at_level(logging.WARNING):
-        assert threshold_for(graph, PSF, (64, 64), 0.05) > 0
+        assert threshold_for(graph, PSF, MODEL, (64, 64), 0.05) > 0
     assert 'could not be kept' in caplog.text
 
 
 def test_progress_rises_to_one(graph):
     seen = []
-    threshold_for(graph, PSF, (64, 64), 0.05, lambda label, done: seen.append(done))
+    threshold_for(graph, PSF, MODEL, (64, 64), 0.05, lambda label, done: seen.append(done))
     assert seen == sorted(seen) and seen[-1] == 1
 
 

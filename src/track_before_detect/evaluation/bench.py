@@ -20,11 +20,13 @@ import numpy as np
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.evaluation.machine import describe_machine, machine_line
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.path_search import PathSearch
+from track_before_detect.tracking.pipeline import TrackingPipeline
 
 Progress = Callable[[str, float], None]
 
@@ -91,9 +93,8 @@ def measure_case(case: Case, repeats: int) -> dict[str, Any]:
     made = simulate(case.scenario, SEED, **case.overrides)
     options = DetectorOptions(psf_sigma_px=made.scenario.psf_sigma_px)
     # Compilation and calibration are not what a warm batch costs.
-    small = simulate(case.scenario, SEED, **{**case.overrides, 'height': 64, 'width': 64,
-                                             'separation_px': 0.0})
-    ConvexDetector(options).detect(small.frames, small.stamps)
+    TrackingPipeline(options).warm_up(
+        made.frames.shape[1:], 1 / made.scenario.fps, len(made.frames))
     # One after the other, so that the tables of the first are gone when the second makes its own.
     return {
         'name': case.name,
@@ -125,7 +126,8 @@ def _measure_stages(made, options, repeats):
     """Measure the stages of a search on one thread, and a copy of the table it fills."""
     shape = made.frames.shape[1:]
     graph = ConvexDetector(options).graph(made.stamps, shape)
-    search = PathSearch(graph, GaussianPsf(options.psf_sigma_px), shape)
+    search = PathSearch(graph, GaussianPsf(options.psf_sigma_px), shape,
+                        AmplitudeModel.named(options.amplitudes, options.amplitude_model))
     scores = search.scores(made.frames)
     search.run(scores)
     n_y, n_x = search.grid_shape

@@ -66,25 +66,40 @@ def _square_positive(row):
 
 
 @numba.njit(**_COMPILE)
-def _square_positive_over(row, norm_squared):
+def _square(row):
     for x in range(row.size):
-        value = row[x] if row[x] > 0 else np.float32(0)
+        row[x] *= row[x]
+
+
+@numba.njit(**_COMPILE)
+def _scale(row, factor):
+    for x in range(row.size):
+        row[x] *= factor
+
+
+@numba.njit(**_COMPILE)
+def _over_norm(row, norm_squared):
+    for x in range(row.size):
         weight = norm_squared[x]
-        row[x] = value * value / weight if weight > np.float32(1e-3) else np.float32(0)
+        row[x] = row[x] / np.sqrt(weight) if weight > np.float32(1e-3) else np.float32(0)
 
 
 @numba.njit(**_COMPILE)
-def scores_of_frame(out, frame, taps, scale_y, scale_x, first_row, last_row):
-    """Write the squared positive part of the matched filter statistic."""
+def scores_of_frame(out, frame, norm_squared, taps, scale_y, scale_x, model, n_frames,
+                    first_row, last_row):
+    """Write what a position adds to the value of a path.
+
+    That is max(h, 0)^2, h^2 or h / sqrt(n_frames) for the amplitude ``model`` 0, 1 or 2, with h
+    the matched filter statistic. ``norm_squared`` (Y, X) is what masked pixels leave of the
+    squared norm of the PSF, of no rows where nothing is masked.
+    """
     filter_frame(out, frame, taps, scale_y, scale_x, first_row, last_row)
     for y in range(first_row, last_row):
-        _square_positive(out[y])
-
-
-@numba.njit(**_COMPILE)
-def scores_of_masked_frame(out, frame, norm_squared, taps, scale_y, scale_x, first_row,
-                           last_row):
-    """Do as ``scores_of_frame``, where masked pixels leave ``norm_squared`` of the PSF."""
-    filter_frame(out, frame, taps, scale_y, scale_x, first_row, last_row)
-    for y in range(first_row, last_row):
-        _square_positive_over(out[y], norm_squared[y])
+        if norm_squared.shape[0] > 0:
+            _over_norm(out[y], norm_squared[y])
+        if model == 0:
+            _square_positive(out[y])
+        elif model == 1:
+            _square(out[y])
+        else:
+            _scale(out[y], np.float32(1.0 / np.sqrt(n_frames)))

@@ -21,11 +21,19 @@ _COMPILE = {'nogil': True, 'cache': True}
 
 
 @numba.njit(**_COMPILE)
-def shrink(row, weight):
-    """Shrink a vector of amplitudes towards zero by ``weight``, in place (Patent Eq. 14-15)."""
+def shrink(row, weight, model):
+    """Shrink a vector of amplitudes towards zero by ``weight``, in place (Patent Eq. 14-15).
+
+    ``model`` 0 keeps amplitudes non-negative, 1 lets them have any sign, 2 makes them one
+    non-negative number (see the module ``amplitudes`` of the models).
+    """
+    if model == 2:
+        mean = max(row.sum() / row.size, 0.0)
+        for t in range(row.size):
+            row[t] = mean
     total = 0.0
     for t in range(row.size):
-        if row[t] < 0.0:
+        if model == 0 and row[t] < 0.0:
             row[t] = 0.0
         total += row[t] * row[t]
     norm = math.sqrt(total)
@@ -35,8 +43,9 @@ def shrink(row, weight):
 
 
 @numba.njit(**_COMPILE)
-def descend(amplitudes, matched, gram, touching, weights, t_convex, tolerance, max_sweeps):
-    """Minimise 1/2 x'Gx - h'x + t sum_p w_p |x_p|, x >= 0, path by path (Algorithm 3).
+def descend(amplitudes, matched, gram, touching, weights, t_convex, model, tolerance,
+            max_sweeps):
+    """Minimise 1/2 x'Gx - h'x + t sum_p w_p |x_p| path by path (Algorithm 3).
 
     Stops when no amplitude of a sweep moved by more than ``tolerance``; returns the sweeps made,
     ``max_sweeps + 1`` when that many were not enough.
@@ -52,7 +61,7 @@ def descend(amplitudes, matched, gram, touching, weights, t_convex, tolerance, m
                 if q != p and touching[p, q]:
                     for k in range(n_frames):
                         row[k] -= gram[p, q, k] * amplitudes[q, k]
-            shrink(row, t_convex * weights[p])
+            shrink(row, t_convex * weights[p], model)
             for k in range(n_frames):
                 largest = max(largest, abs(row[k] - amplitudes[p, k]))
                 amplitudes[p, k] = row[k]

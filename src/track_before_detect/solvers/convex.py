@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 import logging
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph, StateGraph
 from track_before_detect.options import DetectorOptions
@@ -25,8 +25,6 @@ from track_before_detect.solvers.threshold import (
 )
 from track_before_detect.types import Step
 
-# Cost of changing either velocity component by one step, in units of squared statistic.
-TURN_COST = 3.0
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
 INTERVALS_TO_MAX_SPEED = 30
 # Memory for the tables of one search, and comparisons made to fill them (some seconds of one
@@ -82,6 +80,7 @@ class ConvexDetector:
     def __init__(self, options: DetectorOptions):
         self._options = options
         self._psf = GaussianPsf(options.psf_sigma_px)
+        self._model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
         self._search: tuple[tuple, PathSearch] | None = None
         self._thresholds: dict[tuple, float] = {}
         self._warned = False
@@ -127,7 +126,7 @@ class ConvexDetector:
     def _graph(self, stamps, speed, acceleration):
         return build_state_graph(
             regular_stamps(stamps), step_px=1 / self._psf.oversampling, max_speed=speed,
-            max_acceleration=acceleration, turn_cost=TURN_COST)
+            max_acceleration=acceleration, turn_cost=self._model.turn_cost)
 
     def _affordable(self, graph, shape):
         positions = np.prod([(n - 1) * self._psf.oversampling + 1.0 for n in shape])
@@ -143,8 +142,8 @@ class ConvexDetector:
         key = (tuple(regular_stamps(stamps)), self._interval_key(stamps), shape)
         if key not in self._thresholds:
             self._thresholds[key] = threshold_for(
-                self.graph(stamps, shape), self._psf, shape, self._options.false_alarm_rate,
-                progress)
+                self.graph(stamps, shape), self._psf, self._model, shape,
+                self._options.false_alarm_rate, progress)
         return self._thresholds[key]
 
     def _interval_key(self, stamps):
@@ -174,9 +173,9 @@ class ConvexDetector:
             clean, mask = np.where(valid, frames, np.float32(0)), valid
         search = self._path_search(graph, stamps, shape, mask)
         valid_pixels = np.zeros((0, 0, 0), bool) if mask is None else mask
-        paths = PathSet(clean, valid_pixels, self._psf, threshold)
+        paths = PathSet(clean, valid_pixels, self._psf, threshold, self._model)
         times = regular_stamps(stamps)
-        refiner = Refiner(graph, self._psf, times, valid_pixels)
+        refiner = Refiner(graph, self._psf, times, valid_pixels, self._model)
         result = pursue(search, refiner, paths, 3 * self._psf.sigma_px,
                         PursuitSettings(self._options.continuation))
         return BatchResult(self._collect(paths), threshold, result.status, result.history,
@@ -185,17 +184,19 @@ class ConvexDetector:
     def _collect(self, paths):
         found = []
         for path in range(len(paths)):
-            statistics = paths.statistics(path)
-            squared = np.sum(np.maximum(statistics, 0)**2) - paths.costs[path]
+            seen = paths.seen(path)
+            model = paths.model
+            # Less the cost of its turns, so that every statistic meets the same threshold.
+            value = model.value(model.statistic(seen)) - paths.costs[path]
             found.append(FoundTrajectory(
-                paths.positions[path], paths.amplitudes[path].copy(),
-                math.sqrt(max(squared, 0.0)), float(np.mean(statistics))))
+                paths.positions[path], paths.amplitudes[path].copy(), model.from_value(value),
+                float(np.mean(seen))))
         return sorted(found, key=lambda trajectory: -trajectory.statistic)
 
     def _path_search(self, graph, stamps, shape, mask):
         """Return the search for these frames, with its tables where the last one had them."""
         key = (shape, tuple(regular_stamps(stamps)), self._interval_key(stamps))
         if self._search is None or self._search[0] != key:
-            self._search = (key, PathSearch(graph, self._psf, shape, usable_cores()))
+            self._search = (key, PathSearch(graph, self._psf, shape, self._model, usable_cores()))
         self._search[1].set_mask(mask)
         return self._search[1]

@@ -1,10 +1,10 @@
 """Search of the best paths for given frames over all paths of a state graph (Patent Eq. 16-22).
 
-A path wins by the sum of its squared positive statistics less the cost of its turns, the largest
-of which is found by dynamic programming. For a group lasso with weights
-lambda_path^2 = lambda^2 + cost(path) this is the worst violator of the optimality conditions:
-a value above lambda^2 is a path that lowers the objective, and when there is none the solution
-at hand is optimal.
+A path wins by a sum over its frames (of squared positive statistics, in the simplest case) less
+the cost of its turns, the largest of which is found by dynamic programming. For a group lasso with
+weights lambda_path^2 = lambda^2 + cost(path) this is the worst violator of the optimality
+conditions: a value above lambda^2 is a path that lowers the objective, and when there is none the
+solution at hand is optimal.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels import matched_filter, path_search
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import StateGraph
 
-# Sums of twenty squared statistics in single precision are off by less than this fraction.
-ROUNDING = 1e-5
+NO_MASK = np.empty((0, 0), np.float32)
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class FoundPath:
     positions : array, shape (T, 2)
         x and y in pixels.
     value : float
-        Sum of squared positive statistics less the cost of the turns.
+        Sum over the frames, as the amplitude model has it, less the cost of the turns.
     cost : float
         Cost of the turns.
     """
@@ -55,6 +55,8 @@ class PathSearch:
         Its oversampling has to match the step of the graph.
     shape : tuple of int
         (H, W) of the frames.
+    model : AmplitudeModel
+        Says what a position adds to the value of a path.
     n_threads : int
         Threads that share the rows of the frames. The compiled loops release the interpreter
         lock, so plain threads do, and numba's own threading layer, which aborts the process when
@@ -62,7 +64,8 @@ class PathSearch:
     """
 
     def __init__(self, graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int],
-                 n_threads: int = 1):
+                 model: AmplitudeModel, n_threads: int = 1):
+        self.model = model
         self.graph = graph
         self._n_threads = n_threads
         n_sub = psf.oversampling
@@ -79,17 +82,15 @@ class PathSearch:
         self._norm_squared = None if valid is None else self._norms(valid)
 
     def scores(self, frames: NDArray) -> NDArray:
-        """Return the squared positive statistic of every position, shape (T, Y, X)."""
+        """Return what every position adds to the value of a path, shape (T, Y, X)."""
         scores = np.empty((len(frames), *self.grid_shape), np.float32)
+        norms = self._norm_squared
 
         def fill(first, last):
-            common = (self._taps, self._scale_y, self._scale_x, first, last)
             for t, frame in enumerate(frames):
-                if self._norm_squared is None:
-                    matched_filter.scores_of_frame(scores[t], frame, *common)
-                else:
-                    matched_filter.scores_of_masked_frame(
-                        scores[t], frame, self._norm_squared[t], *common)
+                matched_filter.scores_of_frame(
+                    scores[t], frame, NO_MASK if norms is None else norms[t], self._taps,
+                    self._scale_y, self._scale_x, self.model.code, len(frames), first, last)
 
         self._over_rows(fill)
         return scores

@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from track_before_detect.kernels import shrinkage
 from track_before_detect.kernels import stamps as stamp_kernels
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 
 # Sweeps of coordinate descent that settle the amplitudes of a scene, and those that are enough to
@@ -38,13 +39,15 @@ class PathSet:
         What a target looks like.
     threshold : float
         lambda of a path without turns.
+    model : AmplitudeModel
+        Of the amplitudes.
 
     Attributes
     ----------
     positions : list of array, shape (T, 2)
         x and y in pixels of each path.
     costs : list of float
-        Cost of the turns; lambda_path^2 = threshold^2 + cost.
+        Cost of the turns, which raises lambda of the path.
     settled : list of bool
         Whether a path was refined where it is, apart from all others.
     amplitudes : array, shape (P, T)
@@ -52,7 +55,9 @@ class PathSet:
         Frames less the fit.
     """
 
-    def __init__(self, frames: NDArray, valid: NDArray, psf: GaussianPsf, threshold: float):
+    def __init__(self, frames: NDArray, valid: NDArray, psf: GaussianPsf, threshold: float,
+                 model: AmplitudeModel):
+        self.model = model
         self.frames = frames
         self._valid = valid
         self._psf = psf
@@ -76,7 +81,7 @@ class PathSet:
     @property
     def weights(self) -> NDArray[np.float64]:
         """Weight lambda of each path, shape (P,)."""
-        return np.sqrt(self.threshold**2 + np.array(self.costs, float))
+        return np.array([self.model.weight(self.threshold, cost) for cost in self.costs], float)
 
     def add(self, positions: NDArray, cost: float) -> None:
         """Append a path with amplitude zero."""
@@ -134,7 +139,8 @@ class PathSet:
         """
         problem = self._problem(members)
         amplitudes = self.amplitudes[members]
-        sweeps = shrinkage.descend(amplitudes, *problem, t_convex, tolerance, most_sweeps)
+        sweeps = shrinkage.descend(amplitudes, *problem, t_convex, self.model.code, tolerance,
+                                   most_sweeps)
         matched, gram, _, weights = problem
         return (objective(amplitudes, matched, gram, weights, t_convex), amplitudes,
                 sweeps <= most_sweeps)
@@ -196,8 +202,8 @@ class PathSet:
         """Return the mean overlap of a path with every path, shape (P,)."""
         return self.gram[path].mean(axis=1)
 
-    def statistics(self, path: int) -> NDArray:
-        """Return the statistic of a path in each frame, the other paths taken off."""
+    def seen(self, path: int) -> NDArray:
+        """Return the matched filter statistic along a path, the other paths taken off, (T,)."""
         others = np.einsum('qt,qt->t', self.gram[path], self.amplitudes)
         own = self.gram[path, path] * self.amplitudes[path]
         return self.matched[path] - others + own
@@ -207,7 +213,7 @@ class PathSet:
         stamps, origins = self._render(positions)
         seen = np.empty(len(self.frames))
         stamp_kernels.correlate(stamps, origins, self.residual, seen)
-        return float(np.linalg.norm(np.maximum(seen, 0)))
+        return self.model.statistic(seen)
 
     def refresh(self) -> None:
         """Compute the residual anew, which sheds the rounding of many small changes."""

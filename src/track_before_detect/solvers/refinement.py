@@ -14,8 +14,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels.climb import climb, squared_statistic
+from track_before_detect.kernels.climb import best_amplitudes, climb
 from track_before_detect.kernels.stamps import statistic_and_slope
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import StateGraph
 
@@ -39,13 +40,16 @@ class Refiner:
         In the unit of time of the graph.
     valid : array of bool, shape (T, H, W) or (0, 0, 0)
         Pixels that hold data.
+    model : AmplitudeModel
+        Of the amplitudes.
     """
 
     def __init__(self, graph: StateGraph, psf: GaussianPsf, stamps: NDArray,
-                 valid: NDArray):
+                 valid: NDArray, model: AmplitudeModel):
         self._graph = graph
         self._psf = psf
         self._valid = valid
+        self._model = model
         self._stamps = stamps
         speeds = np.hypot(graph.velocities[:, 0], graph.velocities[:, 1])
         self._max_speed = float(speeds.max()) + graph.velocity_step
@@ -82,11 +86,12 @@ class Refiner:
         seen = np.empty((len(positions), 3))
         statistic_and_slope(positions, self._psf.sigma_px, self._psf.half_width, frames,
                             self._valid, seen)
-        best = (self._gain(squared_statistic(seen), cost, threshold, t_convex), positions, cost)
+        squared = best_amplitudes(seen, self._model.code, np.empty(len(positions)))
+        best = (self._gain(squared, cost, threshold, t_convex), positions, cost)
         for start, basis, family_cost in self._candidates(positions, cost):
             moved = np.array(start)
             value = climb(moved, basis, self._psf.sigma_px, self._psf.half_width, frames,
-                          self._valid, MOST_STEPS)
+                          self._valid, self._model.code, MOST_STEPS)
             if not self._allowed(moved):
                 continue
             moved_cost = self._turn_cost(moved) if family_cost is None else family_cost
@@ -108,7 +113,7 @@ class Refiner:
 
     def _gain(self, squared, cost, threshold, t_convex):
         """By how much the path lowers F_t, alone on these frames."""
-        weight = math.sqrt(threshold**2 + cost)
+        weight = self._model.weight(threshold, cost)
         excess = math.sqrt(squared) - t_convex * weight
         return 0.5 * max(excess, 0.0)**2 - 0.5 * (1 - t_convex)**2 * weight**2
 

@@ -4,7 +4,7 @@ One objective serves the whole continuation, t from 1 (convex) to 0 (combinatori
 
     F_t = 1/2 |y - A x|^2 + t sum_p w_p |x_p| + 1/2 (1 - t)^2 sum of w_p^2 over used paths,
 
-with w_p^2 = threshold^2 + cost of the turns of path p. A lone path with statistic eta lowers F_t
+with w_p^2 = threshold^2 + cost of the turns of path p (or as the amplitude model has it). A lone path with statistic eta lowers F_t
 by 1/2 (eta - t w)^2 and costs 1/2 (1 - t)^2 w^2, so it is worth adding exactly when eta > w,
 whatever t: one threshold serves the schedule. Every change (adding, moving, merging, removing a
 path) is accepted only when F_t falls, which is what makes each stage end; Algorithm 5 taken
@@ -130,13 +130,13 @@ def duality_gap(paths: PathSet, largest: float) -> float:
     paths : PathSet
         The solution.
     largest : float
-        Largest value (squared statistic less cost) of any path on the residual.
+        Largest value of any path on the residual.
     """
     scale = 1.0
     if largest > 0:
-        scale = min(scale, paths.threshold / np.sqrt(largest))
+        scale = min(scale, paths.threshold / paths.model.from_value(largest))
     left = paths.matched - np.einsum('pqt,qt->pt', paths.gram, paths.amplitudes)
-    seen = np.linalg.norm(np.maximum(left, 0), axis=1)
+    seen = np.array([paths.model.statistic(row) for row in left])
     if len(paths):
         scale = min(scale, float(np.min(paths.weights / np.maximum(seen, 1e-300))))
     fit = np.einsum('pt,pqt,qt->', paths.amplitudes, paths.gram, paths.amplitudes)
@@ -165,14 +165,14 @@ class _Stage:
     def run(self, tolerance, most_rounds, history):
         """Alternate between improving the paths at hand and searching for new ones."""
         paths = self._paths
-        bound = (paths.threshold * (1 + tolerance))**2
+        bound = paths.model.value(paths.threshold * (1 + tolerance))
         largest = 0.0
         for _ in range(most_rounds):
             fitted = self._improve()
             paths.refresh()
             largest, found = self._search.best_paths(
                 paths.residual, bound, self._separation, self._is_new(), MOST_NEW_PATHS)
-            violation = float(np.sqrt(max(largest, 0.0))) / paths.threshold - 1
+            violation = paths.model.from_value(largest) / paths.threshold - 1
             history.append(Step(self._t, paths.objective(self._t), len(paths), violation))
             if not found:
                 return largest, fitted and largest <= bound
@@ -206,7 +206,8 @@ class _Stage:
     def _try_adding(self, found):
         """Add a path if it still passes its weight and F_t falls."""
         paths = self._paths
-        if paths.statistic_of(found.positions)**2 - found.cost <= paths.threshold**2:
+        weight = paths.model.weight(paths.threshold, found.cost)
+        if paths.statistic_of(found.positions) <= weight:
             return False
         paths.add(found.positions, found.cost)
         added = len(paths) - 1
@@ -253,7 +254,7 @@ class _Stage:
         """
         paths = self._paths
         while len(paths):
-            excess = np.array([np.linalg.norm(np.maximum(paths.statistics(path), 0))
+            excess = np.array([paths.model.statistic(paths.seen(path))
                                for path in range(len(paths))]) - paths.weights
             weakest = int(np.argmin(excess))
             if excess[weakest] >= 0:

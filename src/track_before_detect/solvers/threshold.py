@@ -2,7 +2,7 @@
 
 The largest value of any path in pure noise is simulated on crops of the frame. Crops are
 independent and alike, so the number of false paths in a frame is Poisson with a mean that grows
-with the effective area; the tail of the crop maxima is exponential beyond its upper quarter.
+with the effective area; the tail of the crop maxima is exponential beyond its upper fifth.
 """
 
 from __future__ import annotations
@@ -19,24 +19,30 @@ import threading
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import StateGraph
 from track_before_detect.solvers.path_search import PathSearch
 
 _LOG = logging.getLogger(__name__)
 
-CROP_PX = 64
-N_CROPS = 1000
+# Crops are as large as the frame up to this side: maxima of small crops cannot be scaled to large
+# frames exactly, since paths near a border have fewer ways to go.
+CROP_PX = 128
+# Area searched for a calibration, in crops of full size; smaller ones are searched more of.
+N_CROPS = 800
+MOST_CROPS = 4000
 # Share of the crop maxima that the exponential tail is fitted to.
-TAIL = 0.25
+TAIL = 0.2
 SEED = 20240720
 # Part of the key of every cached calibration: change it when the search gives other values.
-REVISION = 1
+REVISION = 2
 
 Progress = Callable[[str, float], None]
 
 
-def threshold_for(graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int], rate: float,
+def threshold_for(graph: StateGraph, psf: GaussianPsf, model: AmplitudeModel,
+                  shape: tuple[int, int], rate: float,
                   progress: Progress | None = None) -> float:
     """Return the threshold on the statistic for a false alarm rate.
 
@@ -46,6 +52,8 @@ def threshold_for(graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int], r
         The paths that are searched.
     psf : GaussianPsf
         What a target looks like.
+    model : AmplitudeModel
+        Of the amplitudes.
     shape : tuple of int
         (H, W) of the frames.
     rate : float
@@ -54,7 +62,9 @@ def threshold_for(graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int], r
         Called with a label and the share done, 0 to 1.
     """
     crop = (min(shape[0], CROP_PX), min(shape[1], CROP_PX))
-    maxima = _noise_maxima(graph, psf, crop, progress)
+    values = _noise_maxima(graph, psf, model, crop, progress)
+    # The square of a statistic has the tail nearest to an exponential.
+    maxima = np.array([model.from_value(value) for value in values])**2
     areas = effective_area(graph, shape) / effective_area(graph, crop)
     return float(np.sqrt(_tail_value(maxima, -np.log1p(-rate) / areas)))
 
@@ -77,16 +87,16 @@ def _tail_value(maxima, mean_count):
     return float(start) + scale * float(np.log(-np.log1p(-TAIL) / mean_count))
 
 
-def _noise_maxima(graph, psf, crop, progress):
+def _noise_maxima(graph, psf, model, crop, progress):
     """Return the largest path value of each crop of noise, from the cache where it is known."""
-    path = _cache_folder() / f'noise-{_key(graph, psf, crop)}.npy'
+    path = _cache_folder() / f'noise-{_key(graph, psf, model, crop)}.npy'
     try:
         maxima = np.load(path, allow_pickle=False)
-        if maxima.shape == (N_CROPS,) and np.all(np.isfinite(maxima)):
+        if maxima.shape == (_crop_count(crop),) and np.all(np.isfinite(maxima)):
             return maxima
     except (OSError, ValueError, EOFError):
         pass
-    maxima = _simulate(graph, psf, crop, progress)
+    maxima = _simulate(graph, psf, model, crop, progress)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
@@ -97,35 +107,40 @@ def _noise_maxima(graph, psf, crop, progress):
     return maxima
 
 
-def _simulate(graph, psf, crop, progress):
+def _simulate(graph, psf, model, crop, progress):
     """Search crops of noise on all cores; each crop has its own seed, so order is no matter."""
     local = threading.local()
     done = 0
     lock = threading.Lock()
-    seeds = np.random.SeedSequence(SEED).spawn(N_CROPS)
+    n_crops = _crop_count(crop)
+    seeds = np.random.SeedSequence(SEED).spawn(n_crops)
 
     def largest(seed):
         nonlocal done
         if not hasattr(local, 'search'):
-            local.search = PathSearch(graph, psf, crop)
+            local.search = PathSearch(graph, psf, crop, model)
         noise = np.random.default_rng(seed).standard_normal(
             (graph.n_frames, *crop), dtype=np.float32)
         value = local.search.best_value(noise)
         with lock:
             done += 1
             if progress is not None and done % 10 == 0:
-                progress('calibrating the threshold on noise', done / N_CROPS)
+                progress('calibrating the threshold on noise', done / n_crops)
         return value
 
     with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
         return np.array(list(pool.map(largest, seeds)))
 
 
-def _key(graph, psf, crop):
+def _crop_count(crop):
+    return min(round(N_CROPS * CROP_PX**2 / (crop[0] * crop[1])), MOST_CROPS)
+
+
+def _key(graph, psf, model, crop):
     digest = hashlib.sha256()
     for array in (graph.knots, graph.row_first, graph.row_x, graph.moves, graph.end_moves):
         digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
-    digest.update(repr((REVISION, N_CROPS, SEED, crop, psf, graph.reach, graph.turn_cost,
+    digest.update(repr((REVISION, _crop_count(crop), SEED, crop, psf, model, graph.reach, graph.turn_cost,
                         graph.step_px)).encode())
     return digest.hexdigest()[:24]
 
