@@ -78,8 +78,9 @@ def run_detection(runs: int, seed: int, progress: Callable[[str, float], None],
     if seed < 0:
         raise ParameterError(f'seed must not be negative, got {seed}')
     for_targets, for_noise = np.random.SeedSequence(seed).spawn(2)
-    example = simulate(_TARGETS, 0, **overrides)
-    scenario = example.scenario
+    scenario = simulate(_TARGETS, 0, **overrides).scenario
+    if scenario.n_targets < 1:
+        raise ParameterError(f'n_targets must be at least 1, got {scenario.n_targets}')
     options = DetectorOptions(psf_sigma_px=scenario.psf_sigma_px)
     pipeline = TrackingPipeline(options)
     pipeline.warm_up((scenario.height, scenario.width), 1 / scenario.fps, scenario.n_frames,

@@ -1,0 +1,82 @@
+import json
+import os
+
+import numpy as np
+import pytest
+
+from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.evaluation import bench
+from track_before_detect.evaluation.machine import describe_machine
+
+TINY = {'height': 40, 'width': 44, 'n_frames': 6, 'snr': 8.0}
+
+
+def quiet(label, done):
+    assert label and 0 <= done <= 1
+
+
+@pytest.fixture(scope='module')
+def measured():
+    return bench.bench_convex(3, [bench.Case('tiny', 'single_target', TINY)], quiet)
+
+
+def test_every_stage_is_measured(measured):
+    [case] = measured['cases']
+    for stage in ('detection', 'matched_filter', 'path_search', 'table_copy'):
+        for clock in ('wall_s', 'cpu_s'):
+            assert 0 <= case[stage][clock]['min'] <= case[stage][clock]['median']
+        assert case[stage]['wall_s']['min'] > 0
+    assert case['n_trajectories'] == 1
+    assert case['peak_memory_bytes'] >= case['peak_memory_before_bytes'] > 10 * 2**20
+
+
+def test_rates_and_ratios_agree_with_the_times(measured):
+    [case] = measured['cases']
+    seconds = case['path_search']['wall_s']['min']
+    assert case['n_states'] == (
+        case['n_segments'] * case['n_velocities'] * case['n_positions'])
+    assert case['table_bytes'] == 4 * case['n_states']
+    assert case['path_search_states_per_s'] == pytest.approx(case['n_states'] / seconds)
+    assert case['path_search_frame_states_per_s'] == pytest.approx(
+        case['n_frames'] * case['n_velocities'] * case['n_positions'] / seconds)
+    assert case['path_search_over_copy']['of_minima'] == pytest.approx(
+        seconds / case['table_copy']['wall_s']['min'])
+
+
+def test_measurements_are_plain_numbers_and_make_a_table(measured):
+    assert json.loads(json.dumps(measured)) == measured
+    text = bench.bench_table(measured)
+    assert '6 x 44 x 40' in text and 'tiny' in text
+    assert describe_machine()['processor'] in text
+
+
+def test_machine_is_described_without_its_name():
+    text = json.dumps(describe_machine())
+    assert np.__version__ in text
+    assert os.uname().nodename not in text.split('"')
+
+
+def test_standard_cases_are_the_three_scenes_in_small_and_large():
+    small, both = bench.convex_cases(False), bench.convex_cases(True)
+    assert [case.name for case in small] == ['noise', 'three targets, SNR 3', 'six targets, SNR 5']
+    assert both[:3] == small
+    assert {(case.overrides['height'], case.overrides['width']) for case in both[3:]} == {
+        (512, 640)}
+
+
+def test_error_of_a_measurement_reaches_the_caller():
+    with pytest.raises(ParameterError, match='did you mean noise'):
+        bench.bench_convex(1, [bench.Case('wrong', 'nois')], quiet)
+
+
+def test_measurement_that_the_system_ends_is_named():
+    with pytest.raises(DataError, match=r'ended by the system \(exit code 9\)'):
+        bench._in_own_process(os._exit, 9)
+
+
+@pytest.mark.parametrize(('call', 'said'), [
+    (lambda: bench.bench_convex(0, [], quiet), 'repeats must be at least 1, got 0'),
+    (lambda: bench.bench_named('convx'), 'did you mean convex')])
+def test_bad_arguments_are_named(call, said):
+    with pytest.raises(ParameterError, match=said):
+        call()
