@@ -221,7 +221,8 @@ def _summary(seconds):
 
 
 def _ms(times):
-    return f'{1e3 * times["min"]:.3g} ({1e3 * times["median"]:.3g})'
+    digits = 1 if times['min'] < 0.1 else 0
+    return f'{1e3 * times["min"]:.{digits}f} ({1e3 * times["median"]:.{digits}f})'
 
 
 def _peak_memory():
