@@ -187,13 +187,16 @@ def test_bad_option_is_one_sentence_exit_code_2_and_no_output(
     assert sorted(os.listdir(tmp_path)) == before
 
 
-@pytest.mark.parametrize('name', ['missing.npz', 'empty.npz', 'cut.npz', 'text.txt', 'folder'])
+@pytest.mark.parametrize('name', [
+    'missing.npz', 'empty.npz', 'cut.npz', 'text.txt', 'folder', 'one_frame.npz', 'nan.npz'])
 def test_bad_input_is_one_sentence_exit_code_2_and_no_output(
         recording_file, tmp_path, capsys, name):
     (tmp_path / 'empty.npz').touch()
     (tmp_path / 'cut.npz').write_bytes(recording_file.read_bytes()[:500])
     (tmp_path / 'text.txt').write_text('hello')
     (tmp_path / 'folder').mkdir()
+    np.savez(tmp_path / 'one_frame.npz', frames=np.zeros((1, 8, 8)))
+    np.savez(tmp_path / 'nan.npz', frames=np.full((5, 8, 8), np.nan))
     assert run('detect', tmp_path / name, '--output', tmp_path / 'out') == 2
     assert_one_sentence(capsys, name)
     assert not (tmp_path / 'out').exists()

@@ -332,11 +332,17 @@ def _detect(arguments):
     _check_output(output, overlay=not arguments.no_overlay)
     started = time.perf_counter()
     with open_recording(arguments.input, arguments.topic) as recording:
+        if len(recording) < 2:
+            raise DataError(
+                f'{recording.name} must hold at least 2 frames to show a motion, got 1')
         # Compiled loops take a second to load; errors of the input need not wait for them.
         from track_before_detect.tracking.recorded import detect_recording
 
         with _Progress(sys.stderr) as progress:
-            result = detect_recording(recording, options, progress)
+            try:
+                result = detect_recording(recording, options, progress)
+            except DataError as error:
+                raise DataError(f'{recording.name} cannot be searched: {error}') from error
         seconds = time.perf_counter() - started
         summary = _summary(recording, options, result, seconds)
         written = _write_results(output, recording, result, summary,
@@ -429,6 +435,7 @@ def _summary(recording: Recording, options, result: DetectionResult, seconds) ->
     return {
         'input': recording.name,
         'n_frames': len(recording),
+        'n_batches': result.n_batches,
         'height_px': recording.shape[0],
         'width_px': recording.shape[1],
         'stamps_known': recording.stamps_known,

@@ -107,7 +107,10 @@ class DetectionResult:
     history : list of Step
         Progress of the solver, batch after batch.
     gap : float
-        Duality gap of the convex stage (t = 1), absolute; NaN when no such stage was run.
+        Duality gap of the convex stage (t = 1), absolute; the largest of all batches; NaN when no
+        such stage was run.
+    n_batches : int
+        Batches that were searched.
     """
 
     trajectories: list[Trajectory]
@@ -115,3 +118,4 @@ class DetectionResult:
     status: str = 'converged'
     history: list[Step] = field(default_factory=list)
     gap: float = float('nan')
+    n_batches: int = 1

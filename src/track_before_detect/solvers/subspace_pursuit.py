@@ -4,11 +4,11 @@ One objective serves the whole continuation, t from 1 (convex) to 0 (combinatori
 
     F_t = 1/2 |y - A x|^2 + t sum_p w_p |x_p| + 1/2 (1 - t)^2 sum of w_p^2 over used paths,
 
-with w_p^2 = threshold^2 + cost of the turns of path p (or as the amplitude model has it). A lone path with statistic eta lowers F_t
-by 1/2 (eta - t w)^2 and costs 1/2 (1 - t)^2 w^2, so it is worth adding exactly when eta > w,
-whatever t: one threshold serves the schedule. Every change (adding, moving, merging, removing a
-path) is accepted only when F_t falls, which is what makes each stage end; Algorithm 5 taken
-literally can swap paths for ever.
+with w_p^2 = threshold^2 + cost of the turns of path p (or as the amplitude model has it). A lone
+path with statistic eta lowers F_t by 1/2 (eta - t w)^2 and costs 1/2 (1 - t)^2 w^2, so it is worth
+adding exactly when eta > w, whatever t: one threshold serves the schedule. Every change (adding,
+moving, merging, removing a path) is accepted only when F_t falls, which is what makes each stage
+end; Algorithm 5 taken literally can swap paths for ever.
 
 All paths are searched in the first and in the last stage, and wherever t = 1. The stages between
 only merge, move and remove what is there: their amplitudes are shrunk less than before, so the

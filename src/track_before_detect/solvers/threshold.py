@@ -2,7 +2,7 @@
 
 The largest value of any path in pure noise is simulated on crops of the frame. Crops are
 independent and alike, so the number of false paths in a frame is Poisson with a mean that grows
-with the effective area; the tail of the crop maxima is exponential beyond its upper fifth.
+with the effective area; the far tail of the squared crop maxima is close to exponential.
 """
 
 from __future__ import annotations
@@ -32,8 +32,9 @@ CROP_PX = 128
 # Area searched for a calibration, in crops of full size; smaller ones are searched more of.
 N_CROPS = 800
 MOST_CROPS = 4000
-# Share of the crop maxima that the exponential tail is fitted to.
-TAIL = 0.2
+# Number of largest maxima that the exponential tail is fitted to: enough for its slope, and few,
+# because the slope grows slowly all the way out.
+N_TAIL = 150
 SEED = 20240720
 # Part of the key of every cached calibration: change it when the search gives other values.
 REVISION = 2
@@ -80,11 +81,12 @@ def effective_area(graph: StateGraph, shape: tuple[int, int]) -> float:
 def _tail_value(maxima, mean_count):
     """Value that ``mean_count`` paths in a crop pass on average."""
     ordered = np.sort(maxima)
-    start = np.quantile(ordered, 1 - TAIL)
-    if mean_count > -np.log1p(-TAIL):
+    tail = N_TAIL / len(ordered)
+    start = float(np.quantile(ordered, 1 - tail))
+    if mean_count > -np.log1p(-tail):
         return float(np.quantile(ordered, np.exp(-mean_count)))
-    scale = float(np.mean(ordered[ordered > start]) - start)
-    return float(start) + scale * float(np.log(-np.log1p(-TAIL) / mean_count))
+    scale = float(np.mean(ordered[ordered > start])) - start
+    return start + scale * float(np.log(-np.log1p(-tail) / mean_count))
 
 
 def _noise_maxima(graph, psf, model, crop, progress):
@@ -140,8 +142,8 @@ def _key(graph, psf, model, crop):
     digest = hashlib.sha256()
     for array in (graph.knots, graph.row_first, graph.row_x, graph.moves, graph.end_moves):
         digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
-    digest.update(repr((REVISION, _crop_count(crop), SEED, crop, psf, model, graph.reach, graph.turn_cost,
-                        graph.step_px)).encode())
+    digest.update(repr((REVISION, _crop_count(crop), SEED, crop, psf, model, graph.reach,
+                        graph.turn_cost, graph.step_px)).encode())
     return digest.hexdigest()[:24]
 
 

@@ -77,6 +77,8 @@ class TrackingPipeline:
         prepared = prepare(batch, self._options)
         result = self._detector.detect(prepared.frames, prepared.stamps, progress)
         trajectories = [_in_original_frames(found, prepared) for found in result.found]
+        trajectories = [trajectory for trajectory in trajectories
+                        if np.isfinite(trajectory.positions).any()]
         return DetectionResult(self._stitcher.link(trajectories), result.threshold,
                                result.status, result.history, result.gap)
 

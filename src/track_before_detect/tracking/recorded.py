@@ -83,7 +83,8 @@ def detect_recording(recording: FrameSource, options: DetectorOptions,
             status = result.status
         if progress is not None:
             progress('searching', (number + 1) / len(starts))
-    return DetectionResult(joined.trajectories(), threshold, status, history, gap)
+    return DetectionResult(joined.trajectories(), threshold, status, history, gap,
+                           len(starts))
 
 
 class _Joined:
