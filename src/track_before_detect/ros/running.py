@@ -48,6 +48,12 @@ def run(name: str, make_node: Callable[[], Node], spin: Callable[[Node], None],
     except (TbdError, ParameterException) as error:
         print(f'{name}: error: {error}', file=sys.stderr)
         return EXIT_BAD_INPUT
+    except RuntimeError:
+        # A signal shuts the context down from a thread of rclpy's own. When that falls between
+        # the executor's check of the context and its use of it, the error is rcl's and not
+        # ExternalShutdownException.
+        if rclpy.ok():
+            raise
     finally:
         # Under ros2 launch the interrupt arrives twice; the second one must not cut this short.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
