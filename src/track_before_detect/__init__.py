@@ -13,6 +13,7 @@ from track_before_detect.types import DetectionResult, Step, Trajectory
 
 if TYPE_CHECKING:
     from track_before_detect.detection import detect
+    from track_before_detect.solvers.fit_paths import fit_paths, FittedPaths
 
 __version__ = '0.1.0'
 
@@ -20,18 +21,23 @@ __all__ = [
     'DataError',
     'DetectionResult',
     'DetectorOptions',
+    'FittedPaths',
     'MissingExtraError',
     'ParameterError',
     'Step',
     'TbdError',
     'Trajectory',
     'detect',
+    'fit_paths',
 ]
 
 
 def __getattr__(name: str) -> Any:
-    """Import the detection when it is first asked for: loading the compiler takes a second."""
+    """Import the solvers when they are first asked for: loading the compiler takes a second."""
     if name == 'detect':
         from track_before_detect.detection import detect
         return detect
+    if name in ('fit_paths', 'FittedPaths'):
+        from track_before_detect.solvers import fit_paths
+        return getattr(fit_paths, name)
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
