@@ -65,6 +65,7 @@ class Refiner:
             self._polynomials.append((basis, np.linalg.pinv(basis), degree))
         self._linear = np.ascontiguousarray(legendre[:, :2])
         self._hats = _hat_functions(stamps, stamps[graph.knots[:-1]])
+        self._to_hats = np.linalg.pinv(self._hats)
 
     def refine(self, frames: NDArray, positions: NDArray, cost: float, threshold: float,
                t_convex: float) -> tuple[NDArray, float]:
@@ -94,7 +95,9 @@ class Refiner:
                           self._valid, self._model.code, MOST_STEPS)
             if not self._allowed(moved):
                 continue
-            moved_cost = self._turn_cost(moved) if family_cost is None else family_cost
+            moved_cost = family_cost
+            if moved_cost is None:
+                moved_cost = max(self._turn_cost(moved), self._price(self._hats.shape[1] - 1))
             gain = self._gain(value, moved_cost, threshold, t_convex)
             if gain > best[0]:
                 best = (gain, moved, moved_cost)
@@ -104,11 +107,11 @@ class Refiner:
                     ) -> Iterator[tuple[NDArray, NDArray, float | None]]:
         """Yield start (T, 2), basis (T, B) and cost of each family; cost None: by its turns."""
         for basis, projection, degree in self._polynomials:
-            yield (basis @ (projection @ positions), basis,
-                   TURNS_PER_DEGREE * self._graph.turn_cost * max(0, degree - 1))
+            yield basis @ (projection @ positions), basis, self._price(degree)
         if self._moving:
-            yield positions, self._linear, cost
-        if self._graph.n_segments > 2:
+            # Without the rounding of a path on the grid, which would fit the noise at times.
+            yield self._hats @ (self._to_hats @ positions), self._linear, cost
+        if self._graph.n_segments > 1:
             yield positions, self._hats, None
 
     def _gain(self, squared, cost, threshold, t_convex):
@@ -116,6 +119,10 @@ class Refiner:
         weight = self._model.weight(threshold, cost)
         excess = math.sqrt(squared) - t_convex * weight
         return 0.5 * max(excess, 0.0)**2 - 0.5 * (1 - t_convex)**2 * weight**2
+
+    def _price(self, degree):
+        """Cost of a motion with as many parameters as a polynomial of this degree."""
+        return TURNS_PER_DEGREE * self._graph.turn_cost * max(0, degree - 1)
 
     def _turn_cost(self, positions):
         """Cost of the turns between segments, as on the grid but for any velocity."""
