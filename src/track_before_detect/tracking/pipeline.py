@@ -9,11 +9,19 @@ import numpy as np
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.chain import prepare, PreparedBatch
-from track_before_detect.solvers.convex import ConvexDetector, FoundTrajectory
+from track_before_detect.solvers.batch_detector import BatchDetector, FoundTrajectory
+from track_before_detect.solvers.convex import ConvexDetector
+from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Trajectory
 
 Progress = Callable[[str, float], None]
+
+# The detectors by the names in options.DETECTORS.
+DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
+    'convex': ConvexDetector,
+    'greedy': GreedyDetector,
+}
 
 
 class TrackingPipeline:
@@ -27,7 +35,7 @@ class TrackingPipeline:
 
     def __init__(self, options: DetectorOptions):
         self._options = options
-        self._detector = ConvexDetector(options)
+        self._detector = DETECTOR_CLASSES[options.detector](options)
         self._stitcher = Stitcher(options.psf_sigma_px)
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
@@ -93,7 +101,7 @@ class TrackingPipeline:
         frames = np.random.default_rng(0).standard_normal((8, 24, 24)).astype(np.float32)
         frames[:, 10:13, 10:13] += 8
         stamps = np.arange(8.0)
-        detector = ConvexDetector(options)
+        detector = DETECTOR_CLASSES[options.detector](options)
         detector.detect(frames, stamps)
         if progress is not None:
             progress('compiling', 0.5)

@@ -1,0 +1,213 @@
+"""What every detector of one batch shares: the paths it searches, its threshold, its result."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.state_graph import build_state_graph, StateGraph
+from track_before_detect.options import DetectorOptions
+from track_before_detect.solvers.path_search import PathSearch
+from track_before_detect.solvers.path_set import PathSet
+from track_before_detect.solvers.threshold import (
+    regular_stamps,
+    threshold_for,
+    usable_cores,
+)
+from track_before_detect.types import Step
+
+# Largest acceleration unless given: the maximum speed within this many frame intervals.
+INTERVALS_TO_MAX_SPEED = 30
+# Memory for the tables of one search, and comparisons made to fill them (some seconds of one
+# core); a wider search is cut down to fit.
+MOST_TABLE_BYTES = 2 * 2**30
+MOST_COMPARISONS = 8e9
+
+_LOG = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class FoundTrajectory:
+    """One target in one batch.
+
+    Attributes
+    ----------
+    positions : array, shape (T, 2)
+        x and y in pixels of the prepared frames.
+    amplitudes : array, shape (T,)
+        In units of the noise standard deviation.
+    statistic : float
+        What is compared with the threshold.
+    snr : float
+        Mean over frames of the statistic of one frame.
+    """
+
+    positions: NDArray[np.float64]
+    amplitudes: NDArray[np.float64]
+    statistic: float
+    snr: float
+
+
+@dataclass(frozen=True)
+class BatchResult:
+    """What was found in one batch; fields as in DetectionResult."""
+
+    found: list[FoundTrajectory]
+    threshold: float
+    status: str
+    history: list[Step]
+    gap: float
+
+
+@dataclass(frozen=True)
+class Task:
+    """One batch, ready to be searched.
+
+    Attributes
+    ----------
+    graph : StateGraph
+        The paths.
+    search : PathSearch
+        Finds the best of them.
+    paths : PathSet
+        Holds the frames; starts empty.
+    times : array, shape (T,)
+        In the unit of time of the graph.
+    valid : array of bool, shape (T, H, W) or (0, 0, 0)
+        Pixels that hold data; of no frames where all do.
+    """
+
+    graph: StateGraph
+    search: PathSearch
+    paths: PathSet
+    times: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+
+
+class BatchDetector(ABC):
+    """Finds the trajectories of one batch of prepared frames.
+
+    Parameters
+    ----------
+    options : DetectorOptions
+        Motion, PSF and threshold.
+    """
+
+    def __init__(self, options: DetectorOptions):
+        self.options = options
+        self.psf = GaussianPsf(options.psf_sigma_px)
+        self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
+        self._search: tuple[tuple, PathSearch] | None = None
+        self._thresholds: dict[tuple, float] = {}
+        self._warned = False
+
+    def graph(self, stamps: NDArray, shape: tuple[int, int]) -> StateGraph:
+        """Return the paths that are searched in frames of a shape taken at ``stamps`` (s).
+
+        Where the search would not fit into memory, the fastest motions are left out, with a
+        warning.
+        """
+        options = self.options
+        interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0
+        speed = options.max_speed_px_s
+        if speed is None:
+            speed = 1.0 / interval
+        if options.motion_model == 'static' or len(stamps) == 1:
+            speed = 0.0
+        acceleration = options.max_acceleration_px_s2
+        if acceleration is None:
+            acceleration = speed / (INTERVALS_TO_MAX_SPEED * interval)
+        if options.motion_model == 'constant_velocity':
+            acceleration = 0.0
+        # Three digits are finer than any grid and keep equal cameras on one calibration.
+        speed, acceleration = (float(f'{value:.3g}') for value in (
+            speed * interval, acceleration * interval**2))
+        graph = self._graph(stamps, speed, acceleration)
+        fitting = speed
+        while not self._affordable(graph, shape):
+            if graph.n_velocities == 1:
+                raise ParameterError(
+                    f'a batch of {len(stamps)} frames of {shape[1]} x {shape[0]} pixels is too '
+                    f'large to search, even for targets that stand still: lower batch_length')
+            fitting *= 0.95
+            graph = self._graph(stamps, fitting, acceleration)
+        if fitting < speed and not self._warned:
+            self._warned = True
+            _LOG.warning(
+                'the search for speeds up to %.3g px/s would be too large; it is made up to '
+                '%.3g px/s. A lower max_speed_px_s, max_acceleration_px_s2 or batch_length, or '
+                'a wider psf_sigma_px, avoids this', speed / interval, fitting / interval)
+        return graph
+
+    def _graph(self, stamps, speed, acceleration):
+        return build_state_graph(
+            regular_stamps(stamps), step_px=1 / self.psf.oversampling, max_speed=speed,
+            max_acceleration=acceleration, turn_cost=self.model.turn_cost)
+
+    def _affordable(self, graph, shape):
+        positions = np.prod([(n - 1) * self.psf.oversampling + 1.0 for n in shape])
+        states = graph.n_segments * graph.n_velocities * positions
+        return (4 * states <= MOST_TABLE_BYTES
+                and states * (1 + 4 * graph.reach) <= MOST_COMPARISONS)
+
+    def threshold(self, stamps: NDArray, shape: tuple[int, int],
+                  progress: Callable[[str, float], None] | None = None) -> float:
+        """Return the threshold for batches of this shape, calibrating it where it is unknown."""
+        if self.options.threshold is not None:
+            return self.options.threshold
+        key = (tuple(regular_stamps(stamps)), self._interval_key(stamps), shape)
+        if key not in self._thresholds:
+            self._thresholds[key] = threshold_for(
+                self.graph(stamps, shape), self.psf, self.model, shape,
+                self.options.false_alarm_rate, progress)
+        return self._thresholds[key]
+
+    def _interval_key(self, stamps):
+        """Return what the graph depends on beside the pattern of the stamps."""
+        return float(f'{np.median(np.diff(stamps)):.3g}') if len(stamps) > 1 else 0.0
+
+    def detect(self, frames: NDArray, stamps: NDArray,
+               progress: Callable[[str, float], None] | None = None) -> BatchResult:
+        """Find the trajectories.
+
+        Parameters
+        ----------
+        frames : float32 array, shape (T, H, W)
+            Frames of unit noise; NaN where masked.
+        stamps : array, shape (T,)
+            Seconds.
+        progress : callable, optional
+            Told of a calibration.
+        """
+        shape = frames.shape[1:]
+        graph = self.graph(stamps, shape)
+        threshold = self.threshold(stamps, shape, progress)
+        valid = np.isfinite(frames)
+        if valid.all():
+            clean, mask = np.ascontiguousarray(frames, np.float32), None
+        else:
+            clean, mask = np.where(valid, frames, np.float32(0)), valid
+        search = self._path_search(graph, stamps, shape, mask)
+        valid_pixels = np.zeros((0, 0, 0), bool) if mask is None else mask
+        paths = PathSet(clean, valid_pixels, self.psf, threshold, self.model)
+        return self.solve(Task(graph, search, paths, regular_stamps(stamps), valid_pixels))
+
+    @abstractmethod
+    def solve(self, task: Task) -> BatchResult:
+        """Find the paths of a batch."""
+
+    def _path_search(self, graph, stamps, shape, mask):
+        """Return the search for these frames, with its tables where the last one had them."""
+        key = (shape, tuple(regular_stamps(stamps)), self._interval_key(stamps))
+        if self._search is None or self._search[0] != key:
+            self._search = (key, PathSearch(graph, self.psf, shape, self.model, usable_cores()))
+        self._search[1].set_mask(mask)
+        return self._search[1]

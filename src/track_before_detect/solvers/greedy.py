@@ -1,0 +1,55 @@
+"""The plain greedy method, to compare with: one target after the other (Patent (75)).
+
+The best path is taken while it passes the threshold, its amplitudes are fitted alone, and what
+they explain is subtracted for good. No path is fitted again beside those that follow, none is
+moved off the grid: what an early path took from its neighbour stays taken.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from track_before_detect.kernels.shrinkage import shrink
+from track_before_detect.solvers.batch_detector import (
+    BatchDetector,
+    BatchResult,
+    FoundTrajectory,
+    Task,
+)
+from track_before_detect.types import Step
+
+# Every path lowers the energy of the residual, so the search ends, but what rounding leaves of an
+# extremely bright target could be followed for long.
+MOST_PATHS = 1000
+
+
+class GreedyDetector(BatchDetector):
+    """Finds the trajectories of a batch one by one."""
+
+    def solve(self, task: Task) -> BatchResult:
+        """Find the paths of a batch."""
+        paths, model = task.paths, self.model
+        bound = model.value(paths.threshold)
+        history: list[Step] = []
+        found: list[FoundTrajectory] = []
+        status = 'iteration_limit'
+        for _ in range(MOST_PATHS):
+            largest, best = task.search.best_paths(
+                paths.residual, bound, 1.0, lambda positions: True, 1)
+            violation = model.from_value(largest) / paths.threshold - 1
+            history.append(Step(0.0, paths.objective(0.0), len(paths), violation))
+            if not best:
+                status = 'converged'
+                break
+            [path] = best
+            paths.add(path.positions, path.cost)
+            added = len(paths) - 1
+            seen = paths.seen(added)
+            amplitudes = seen.copy()
+            # Without a weight this is the least-squares fit within the amplitude model.
+            shrink(amplitudes, 0.0, model.code)
+            paths.assign(np.array([added]), amplitudes[None])
+            found.append(FoundTrajectory(path.positions, amplitudes, model.from_value(path.value),
+                                         float(np.mean(seen))))
+        found.sort(key=lambda trajectory: -trajectory.statistic)
+        return BatchResult(found, paths.threshold, status, history, float('nan'))
