@@ -53,6 +53,17 @@ def test_reach_of_several_steps_equals_search_through_every_path():
     assert run(graph, scores)[-1].max() == pytest.approx(expected, rel=1e-5)
 
 
+@pytest.mark.parametrize('n_frames', [6, 7, 8, 9, 10])
+def test_long_segments_over_many_velocities_equal_search_through_every_path(n_frames):
+    # Segments of three, four and five frames, and velocities inside and at the rim of the disc.
+    graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=1.3,
+                              max_acceleration=0.15, turn_cost=0.8)
+    assert graph.n_segments == 2 and graph.reach == 1 and len(graph.row_x) >= 5
+    scores = np.random.default_rng(n_frames).exponential(size=(n_frames, 6, 7))
+    expected, _ = naive.best_path_value(graph, scores)
+    assert run(graph, scores.astype(np.float32))[-1].max() == pytest.approx(expected, rel=1e-5)
+
+
 def test_frame_of_one_row_is_searched():
     graph = build_state_graph(np.arange(4.0), step_px=0.5, max_speed=1.0, max_acceleration=0.3,
                               turn_cost=1.0)

@@ -52,9 +52,30 @@ def _add(out, o, source, a, n):
 
 
 @numba.njit(**_COMPILE)
+def _add_two(out, o, source, a, b, n):
+    for x in range(_U(n)):
+        out[o + x] += source[a + x] + source[b + x]
+
+
+@numba.njit(**_COMPILE)
+def _add_three(out, o, source, a, b, c, n):
+    for x in range(_U(n)):
+        out[o + x] += source[a + x] + source[b + x] + source[c + x]
+
+
+@numba.njit(**_COMPILE)
 def _add_four(out, o, source, a, b, c, d, n):
     for x in range(_U(n)):
         out[o + x] += (source[a + x] + source[b + x]) + (source[c + x] + source[d + x])
+
+
+@numba.njit(**_COMPILE)
+def _turn_and_add_three(out, o, turns, here, left, right, cost, source, a, b, c, n):
+    for x in range(_U(n)):
+        beside = turns[left + x] if turns[left + x] > turns[right + x] else turns[right + x]
+        beside -= cost
+        best = turns[here + x] if turns[here + x] > beside else beside
+        out[o + x] = best + (source[a + x] + source[b + x] + source[c + x])
 
 
 @numba.njit(**_COMPILE)
@@ -111,27 +132,24 @@ def _extents(moves, first_frame, last_frame, n_y, n_x):
 
 
 @numba.njit(**_COMPILE)
-def _add_scores(out, o, scores, extents, offsets, v, y, n_x):
-    """Add to out[o + x] the weights met on leaving (y, x); ABSENT where that leaves the grid."""
-    first, last = extents[v, 0], extents[v, 1]
-    if y < extents[v, 2] or y >= extents[v, 3] or last <= first:
-        _fill(out, o, n_x, ABSENT)
-        return
-    _fill(out, o, first, ABSENT)
-    _fill(out, o + _U(last), n_x - last, ABSENT)
-    start = y * n_x + first
-    n = last - first
-    o += _U(first)
-    # Four rows at a time: the running sum is then loaded and stored once for four frames.
+def _add_scores(out, o, scores, offsets, v, start, n, t):
+    """Add to out[o + x] the weights met in the frames of a segment from its frame ``t`` on.
+
+    ``start`` is the flat index of the first position left from. Several rows at a time: the
+    running sum is then loaded and stored once for several frames.
+    """
     n_frames = offsets.shape[1]
-    t = 0
     while t + 4 <= n_frames:
         _add_four(out, o, scores, _U(start + offsets[v, t]), _U(start + offsets[v, t + 1]),
                   _U(start + offsets[v, t + 2]), _U(start + offsets[v, t + 3]), n)
         t += 4
-    while t < n_frames:
+    if t + 3 == n_frames:
+        _add_three(out, o, scores, _U(start + offsets[v, t]), _U(start + offsets[v, t + 1]),
+                   _U(start + offsets[v, t + 2]), n)
+    elif t + 2 == n_frames:
+        _add_two(out, o, scores, _U(start + offsets[v, t]), _U(start + offsets[v, t + 1]), n)
+    elif t + 1 == n_frames:
         _add(out, o, scores, _U(start + offsets[v, t]), n)
-        t += 1
 
 
 @numba.njit(**_COMPILE)
@@ -144,13 +162,13 @@ def _raise_from_sides(out, o, source, start, stride, here, n_rows, k, n, cost):
 
 
 @numba.njit(**_COMPILE)
-def _best_turn(flat, block, scratch, row_first, row_x, width, n_x, reach, cost):
-    """Raise each velocity's row to the best within ``reach`` steps, less ``cost`` a step.
+def _best_turn_x(turns, flat, block, row_first, row_x, width, n_x, reach, cost):
+    """Write to ``turns`` the best within ``reach`` steps of v_x, less ``cost`` a step.
 
-    The cost is the sum of the steps in v_x and v_y, so the maximum over the square of velocities
-    is one over v_x and then one over v_y. Rows of the disc of velocities have different lengths;
-    the pass over v_x fills ``scratch`` (rows, width, X), flat, for the columns that a longer
-    neighbouring row needs too. The velocities of one position row start at ``flat[block]``.
+    The cost of a turn is the sum of its steps in v_x and v_y, so the maximum over the square of
+    velocities is one over v_x and then one over v_y. Rows of the disc of velocities have different
+    lengths; ``turns`` (rows, width, X), flat, is filled for the columns that a longer neighbouring
+    row needs too. The velocities of one position row start at ``flat[block]``.
     """
     n_rows = row_x.size
     for r in range(n_rows):
@@ -161,30 +179,29 @@ def _best_turn(flat, block, scratch, row_first, row_x, width, n_x, reach, cost):
             o = _U((r * width + c) * n_x)
             nearest = 1
             if 1 <= i < n_v - 1:
-                _best_of_three(scratch, o, flat, _U(first + i * n_x), _U(first + (i - 1) * n_x),
+                _best_of_three(turns, o, flat, _U(first + i * n_x), _U(first + (i - 1) * n_x),
                                _U(first + (i + 1) * n_x), n_x, cost)
                 nearest = 2
             elif 0 <= i < n_v:
-                _copy(scratch, o, flat, _U(first + i * n_x), n_x)
+                _copy(turns, o, flat, _U(first + i * n_x), n_x)
             else:
-                _fill(scratch, o, n_x, ABSENT)
+                _fill(turns, o, n_x, ABSENT)
             for k in range(nearest, reach + 1):
-                _raise_from_sides(scratch, o, flat, first, n_x, i, n_v, k, n_x, cost)
-    for r in range(n_rows):
-        for i in range(row_first[r + 1] - row_first[r]):
-            o = _U(block + (row_first[r] + i) * n_x)
-            column = (row_x[r] + i) * n_x
-            stride = width * n_x
-            nearest = 1
-            if 1 <= r < n_rows - 1:
-                _best_of_three(flat, o, scratch, _U(r * stride + column),
-                               _U((r - 1) * stride + column), _U((r + 1) * stride + column),
-                               n_x, cost)
-                nearest = 2
-            else:
-                _copy(flat, o, scratch, _U(r * stride + column), n_x)
-            for k in range(nearest, reach + 1):
-                _raise_from_sides(flat, o, scratch, column, stride, r, n_rows, k, n_x, cost)
+                _raise_from_sides(turns, o, flat, first, n_x, i, n_v, k, n_x, cost)
+
+
+@numba.njit(**_COMPILE)
+def _best_turn_y(out, o, turns, column, stride, r, n_rows, n, reach, cost):
+    """Write to out[o + x] the best within ``reach`` rows of ``turns``, less ``cost`` a row."""
+    nearest = 1
+    if 1 <= r < n_rows - 1:
+        _best_of_three(out, o, turns, _U(r * stride + column), _U((r - 1) * stride + column),
+                       _U((r + 1) * stride + column), n, cost)
+        nearest = 2
+    else:
+        _copy(out, o, turns, _U(r * stride + column), n)
+    for k in range(nearest, reach + 1):
+        _raise_from_sides(out, o, turns, column, stride, r, n_rows, k, n, cost)
 
 
 @numba.njit(**_COMPILE)
@@ -209,22 +226,47 @@ def forward_segment(value, before, scores, moves, end_moves_before, first_frame,
     flat = value.reshape(value.size)
     flat_before = before.reshape(before.size)
     flat_scores = scores.reshape(scores.size)
+    starting = before.shape[0] == 0
     width = _row_width(row_first, row_x)
-    scratch = np.empty(row_x.size * width * n_x, np.float32)
+    stride = width * n_x
+    n_rows = row_x.size
+    turns = np.empty(n_rows * stride, np.float32)
     extents, offsets = _extents(moves, first_frame, last_frame, n_y, n_x)
     for y in range(first_row, last_row):
         block = y * n_v * n_x
-        if before.shape[0] == 0:
-            _fill(flat, _U(block), n_v * n_x, np.float32(0))
-        else:
+        if not starting:
             for v in range(n_v):
                 move_x, move_y = -end_moves_before[v, 0], -end_moves_before[v, 1]
                 _shifted_row(flat, _U(block + v * n_x), flat_before,
                              ((y + move_y) * n_v + v) * n_x, y, n_y, n_x, move_x, move_y)
-            _best_turn(flat, block, scratch, row_first, row_x, width, n_x, reach, cost)
-        for v in range(n_v):
-            _add_scores(flat, _U(block + v * n_x), flat_scores, extents, offsets, v, y,
-                        n_x)
+            _best_turn_x(turns, flat, block, row_first, row_x, width, n_x, reach, cost)
+        for r in range(n_rows):
+            for v in range(row_first[r], row_first[r + 1]):
+                o = _U(block + v * n_x)
+                first, last = extents[v, 0], extents[v, 1]
+                if y < extents[v, 2] or y >= extents[v, 3] or last <= first:
+                    _fill(flat, o, n_x, ABSENT)
+                    continue
+                _fill(flat, o, first, ABSENT)
+                _fill(flat, o + _U(last), n_x - last, ABSENT)
+                inside = o + _U(first)
+                start = y * n_x + first
+                n = last - first
+                column = (row_x[r] + v - row_first[r]) * n_x + first
+                done = 0
+                if starting:
+                    _fill(flat, inside, n, np.float32(0))
+                elif reach == 1 and 1 <= r < n_rows - 1 and offsets.shape[1] >= 3:
+                    # The common case in one loop, which spares a pass over the row.
+                    _turn_and_add_three(
+                        flat, inside, turns, _U(r * stride + column),
+                        _U((r - 1) * stride + column), _U((r + 1) * stride + column), cost,
+                        flat_scores, _U(start + offsets[v, 0]), _U(start + offsets[v, 1]),
+                        _U(start + offsets[v, 2]), n)
+                    done = 3
+                else:
+                    _best_turn_y(flat, inside, turns, column, stride, r, n_rows, n, reach, cost)
+                _add_scores(flat, inside, flat_scores, offsets, v, start, n, done)
 
 
 @numba.njit(**_COMPILE)
