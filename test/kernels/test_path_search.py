@@ -56,8 +56,8 @@ def test_reach_of_several_steps_equals_search_through_every_path():
 @pytest.mark.parametrize('n_frames', [6, 7, 8, 9, 10])
 def test_long_segments_over_many_velocities_equal_search_through_every_path(n_frames):
     # Segments of three, four and five frames, and velocities inside and at the rim of the disc.
-    graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=1.3,
-                              max_acceleration=0.15, turn_cost=0.8)
+    graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=1.6,
+                              max_acceleration=2.5 / (n_frames / 2)**2, turn_cost=0.8)
     assert graph.n_segments == 2 and graph.reach == 1 and len(graph.row_x) >= 5
     scores = np.random.default_rng(n_frames).exponential(size=(n_frames, 6, 7))
     expected, _ = naive.best_path_value(graph, scores)
