@@ -211,26 +211,31 @@ def mask_stamps(stamps, origins, cell_place, cell_frame, valid):
 
 
 @numba.njit(**_FAST)
-def _row_product(stamp_row, frame_row):
+def _product(a, start_a, b, start_b, n):
+    """Return the inner product of n entries of two flat arrays."""
+    # Unsigned indices spare the test for negative ones.
+    first_a = np.uint64(start_a)
+    first_b = np.uint64(start_b)
     total = 0.0
-    for k in range(stamp_row.size):
-        total += stamp_row[k] * frame_row[k]
+    for k in range(np.uint64(n)):
+        total += a[first_a + k] * b[first_b + k]
     return total
 
 
-@numba.njit(**_FAST)
-def correlate_cells(chosen, stamps, origins, cell_place, cell_frame, residual, seen):
-    """Fill ``seen`` for the chosen cells."""
+@numba.njit(**_COMPILE)
+def correlate_cells(chosen, stamps, starts, cell_place, residual, seen):
+    """Fill ``seen`` for the chosen cells; ``starts`` is the flat first pixel of each cell."""
+    n_parts, _, _, width = residual.shape
     size_y, size_x = stamps.shape[1:]
-    for c in chosen:
-        place = cell_place[c]
-        x = origins[place, 0]
-        y = origins[place, 1]
-        for d in range(residual.shape[0]):
-            frame = residual[d, cell_frame[c]]
+    profiles = stamps.ravel()
+    for d in range(n_parts):
+        pixels = residual[d].ravel()
+        for c in chosen:
+            first = cell_place[c] * size_y * size_x
             total = 0.0
             for i in range(size_y):
-                total += _row_product(stamps[place, i], frame[y + i, x:x + size_x])
+                total += _product(profiles, first + i * size_x, pixels, starts[c] + i * width,
+                                  size_x)
             seen[d, c] = total
 
 
@@ -283,56 +288,59 @@ def subtract(members, amplitudes, cells, stamps, origins, cell_place, residual):
                         residual[d, k, y + i, x + j] -= amplitude * stamps[place, i, j]
 
 
-@numba.njit(**_FAST)
-def _overlap(place, other, stamps, origins):
-    """Return the inner product of two stamps."""
-    if place == other:
-        return 1.0 if stamps[place].any() else 0.0
-    size_y, size_x = stamps.shape[1:]
+@numba.njit(**_COMPILE)
+def _overlap(place, other, profiles, size_y, size_x, origins):
+    """Return the inner product of two stamps, given flat."""
     shift_x = origins[other, 0] - origins[place, 0]
     shift_y = origins[other, 1] - origins[place, 1]
     if abs(shift_x) >= size_x or abs(shift_y) >= size_y:
         return 0.0
+    first = place * size_y * size_x + max(0, shift_x)
+    other_first = other * size_y * size_x + max(0, -shift_x)
     total = 0.0
-    width = size_x - abs(shift_x)
-    x = max(0, shift_x)
-    other_x = max(0, -shift_x)
     for i in range(max(0, shift_y), min(size_y, size_y + shift_y)):
-        total += _row_product(stamps[place, i, x:x + width],
-                              stamps[other, i - shift_y, other_x:other_x + width])
+        total += _product(profiles, first + i * size_x, profiles,
+                          other_first + (i - shift_y) * size_x, size_x - abs(shift_x))
     return total
 
 
 @numba.njit(**_COMPILE)
-def relate(members, n_old, cells, stamps, origins, cell_place, gram):
-    """Fill the rows and columns of ``gram`` that belong to members ``n_old`` and later."""
-    for a in range(n_old, members.size):
+def relate(places, n_old, stamps, origins, gram):
+    """Fill the rows and columns of ``gram`` that belong to members ``n_old`` and later.
+
+    ``places``, shape (n, T), are those of the members.
+    """
+    _, size_y, size_x = stamps.shape
+    profiles = stamps.ravel()
+    for a in range(n_old, places.shape[0]):
         for b in range(a + 1):
-            for k in range(cells.shape[1]):
-                value = _overlap(cell_place[cells[members[a], k]],
-                                 cell_place[cells[members[b], k]], stamps, origins)
+            for k in range(places.shape[1]):
+                value = _overlap(places[a, k], places[b, k], profiles, size_y, size_x, origins)
                 gram[a, b, k] = value
                 gram[b, a, k] = value
 
 
 @numba.njit(**_COMPILE)
-def pick(ordered, most, alike, cells, stamps, origins, cell_place):
-    """Return at most ``most`` of the paths, in order, that are not ``alike`` to one before.
+def pick(places, most, alike, stamps, origins):
+    """Return the rows of at most ``most`` of the paths that are not ``alike`` to one before.
 
-    Likeness is the mean overlap in up to five frames.
+    ``places``, shape (n, T), are in the order of preference; likeness is the mean overlap in up
+    to five frames.
     """
-    n_frames = cells.shape[1]
+    _, size_y, size_x = stamps.shape
+    profiles = stamps.ravel()
+    n_frames = places.shape[1]
     n_looks = min(n_frames, 5)
     taken = np.empty(most, np.int64)
     n_taken = 0
-    for p in ordered:
+    for p in range(places.shape[0]):
         new = True
         for row in range(n_taken):
             total = 0.0
             for look in range(n_looks):
                 k = look * (n_frames - 1) // max(n_looks - 1, 1)
-                total += _overlap(cell_place[cells[p, k]], cell_place[cells[taken[row], k]],
-                                  stamps, origins)
+                total += _overlap(places[p, k], places[taken[row], k], profiles, size_y, size_x,
+                                  origins)
             if total > alike * n_looks:
                 new = False
                 break

@@ -209,14 +209,20 @@ class _Problem:
             self.stamps, self.origins = group_lasso.mask_stamps(
                 self.stamps, self.origins, self.cell_place, self.cell_frame, valid)
             self.cell_place = np.arange(len(self.cell_place), dtype=np.int32)
+        # In 64 bits, for batches of more than 2^31 pixels.
+        x, y = self.origins[self.cell_place].T.astype(np.int64)
+        self.starts = (self.cell_frame * np.int64(height) + y) * width + x
 
     @property
     def n_paths(self):
         return len(self.cells)
 
     def seen(self, residual, chosen, out):
-        group_lasso.correlate_cells(chosen, self.stamps, self.origins, self.cell_place,
-                                    self.cell_frame, residual, out)
+        group_lasso.correlate_cells(chosen, self.stamps, self.starts, self.cell_place, residual,
+                                    out)
+
+    def places(self, members):
+        return self.cell_place[self.cells[members]].astype(np.int64)
 
     def residual(self, members, amplitudes):
         residual = self.data.copy()
@@ -348,15 +354,16 @@ class _WorkingSet:
             return False
         most = max(FEWEST_NEW, len(self._members))
         order = np.argsort(-self._statistics[violating])[:CANDIDATES_PER_NEW * most]
-        new = group_lasso.pick(violating[order], most, ALIKE, problem.cells, problem.stamps,
-                               problem.origins, problem.cell_place)
+        candidates = violating[order]
+        new = candidates[group_lasso.pick(problem.places(candidates), most, ALIKE,
+                                          problem.stamps, problem.origins)]
         n_old = len(self._members)
         n_all = n_old + len(new)
         gram = np.empty((n_all, n_all, self._gram.shape[2]))
         gram[:n_old, :n_old] = self._gram
         self._members = np.concatenate([self._members, new])
-        group_lasso.relate(self._members, n_old, problem.cells, problem.stamps, problem.origins,
-                           problem.cell_place, gram)
+        group_lasso.relate(problem.places(self._members), n_old, problem.stamps, problem.origins,
+                           gram)
         self._gram = gram
         self._amplitudes = np.concatenate(
             [self._amplitudes, np.zeros((len(new), *self._amplitudes.shape[1:]))])
