@@ -18,6 +18,7 @@ from track_before_detect.evaluation.confidence import (
 )
 from track_before_detect.evaluation.matching import match_trajectories
 from track_before_detect.evaluation.report import Quantity, SuiteResult
+from track_before_detect.evaluation.runs import announced, checked_runs, run_seeds
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.tracking.pipeline import TrackingPipeline
@@ -73,10 +74,7 @@ def run_detection(runs: int, seed: int, progress: Callable[[str, float], None],
     -------
     SuiteResult
     """
-    if runs < 1:
-        raise ParameterError(f'runs must be at least 1, got {runs}')
-    if seed < 0:
-        raise ParameterError(f'seed must not be negative, got {seed}')
+    checked_runs(runs, seed)
     for_targets, for_noise = np.random.SeedSequence(seed).spawn(2)
     scenario = simulate(_TARGETS, 0, **overrides).scenario
     if scenario.n_targets < 1:
@@ -91,10 +89,11 @@ def run_detection(runs: int, seed: int, progress: Callable[[str, float], None],
     # Noise has the targets' frames, not their number.
     of_noise = {key: value for key, value in overrides.items() if key != 'n_targets'}
     with_targets = [_measure(pipeline, _TARGETS, run_seed, overrides)
-                    for run_seed in _announced(_seeds(for_targets, runs), 'three targets',
-                                               progress)]
+                    for run_seed in announced(run_seeds(for_targets, runs),
+                                              'searching three targets', progress)]
     noise = [_measure(pipeline, _NOISE, run_seed, of_noise)
-             for run_seed in _announced(_seeds(for_noise, 2 * runs), 'noise', progress)]
+             for run_seed in announced(run_seeds(for_noise, 2 * runs), 'searching noise',
+                                       progress)]
     return SuiteResult(
         'Detection of three dim targets, and of nothing in noise',
         f'{runs} batches of {scenario.n_frames} frames of {scenario.width} x {scenario.height} '
@@ -109,19 +108,6 @@ def run_detection(runs: int, seed: int, progress: Callable[[str, float], None],
         {'runs': runs, 'seed': seed, 'found_px': FOUND_PX,
          'scenario': dataclasses.asdict(scenario), 'options': dataclasses.asdict(options)},
         lambda figure: _draw(figure, with_targets, noise))
-
-
-def _seeds(sequence, count):
-    """Return whole numbers that a spreadsheet can hold without rounding."""
-    return [int(child.generate_state(1, np.uint64)[0] >> np.uint64(11))
-            for child in sequence.spawn(count)]
-
-
-def _announced(seeds, label, progress):
-    for number, run_seed in enumerate(seeds):
-        progress(f'searching {label}', number / len(seeds))
-        yield run_seed
-    progress(f'searching {label}', 1.0)
 
 
 def _measure(pipeline, name, seed, overrides):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 import csv
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 import math
 import os
 from pathlib import Path
@@ -66,6 +66,8 @@ class SuiteResult:
         What the runs were made with.
     draw : callable
         Draws the picture into a matplotlib figure.
+    pictures : mapping
+        Further pictures: what the name of the file ends in, and what draws it.
     """
 
     title: str
@@ -74,6 +76,7 @@ class SuiteResult:
     quantities: list[Quantity]
     settings: Mapping[str, Any]
     draw: Callable[[Any], None]
+    pictures: Mapping[str, Callable[[Any], None]] = field(default_factory=dict)
 
 
 def require_matplotlib() -> None:
@@ -114,9 +117,10 @@ def write_suite_result(output: str | os.PathLike, name: str, result: SuiteResult
             'machine': describe_machine(),
         })
         (aside / 'report.md').write_text(_report(name, result, command), encoding='utf-8')
-        figure = _figure()
-        result.draw(figure)
-        figure.savefig(aside / f'{name}.png', dpi=110)
+        for stem, draw in _pictures(name, result).items():
+            figure = _figure()
+            draw(figure)
+            figure.savefig(aside / f'{stem}.png', dpi=110)
         files = sorted(aside.iterdir())
         for file in files:
             os.replace(file, output / file.name)
@@ -158,13 +162,20 @@ def _field(value):
     return f'{value:.6g}' if math.isfinite(value) else ''
 
 
+def _pictures(name, result):
+    """Return what draws each picture, by the name of its file without the suffix."""
+    return {name: result.draw,
+            **{f'{name}_{suffix}': draw for suffix, draw in result.pictures.items()}}
+
+
 def _report(name, result, command):
     lines = [
         f'# {result.title}', '', result.description, '',
         '| quantity | value | 95 % interval | from | |',
         '|---|---:|---:|---:|---|',
         *('| ' + ' | '.join(_cells(quantity)) + ' |' for quantity in result.quantities), '',
-        f'![{result.title}]({name}.png)', '',
+        *(line for stem in _pictures(name, result)
+          for line in (f'![{result.title}]({stem}.png)', '')),
         f'Made with `{command}` on {machine_line()}.', '',
     ]
     return '\n'.join(lines)

@@ -8,6 +8,7 @@ import difflib
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.detection_suite import run_detection
+from track_before_detect.evaluation.patent_suite import run_patent
 from track_before_detect.evaluation.report import SuiteResult
 
 Progress = Callable[[str, float], None]
@@ -34,6 +35,10 @@ SUITES: dict[str, Suite] = {
         'The convex detector on three targets at SNR 3 (N runs) and on noise alone (2 N runs): '
         'targets found, false trajectories, accuracy, time, realised false alarm rate.',
         run_detection),
+    'patent': Suite(
+        'Figures 2-7 of US application 18/790,866 (N scenes each) by the convex method, its '
+        'continuation, t = 0 only and greedy: how often each shows what the text describes.',
+        run_patent),
 }
 
 

@@ -1,0 +1,32 @@
+"""Runs of a study: their seeds, and what is told while they go on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+
+import numpy as np
+
+from track_before_detect.errors import ParameterError
+
+
+def checked_runs(runs: int, seed: int) -> None:
+    """Refuse a number of runs or a seed that no study can be made with."""
+    if runs < 1:
+        raise ParameterError(f'runs must be at least 1, got {runs}')
+    if seed < 0:
+        raise ParameterError(f'seed must not be negative, got {seed}')
+
+
+def run_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
+    """Return whole numbers that a spreadsheet can hold without rounding, one per run."""
+    return [int(child.generate_state(1, np.uint64)[0] >> np.uint64(11))
+            for child in sequence.spawn(count)]
+
+
+def announced(seeds: Sequence[int], label: str,
+              progress: Callable[[str, float], None]) -> Iterator[int]:
+    """Yield the seeds and tell the share done before each and at the end."""
+    for number, seed in enumerate(seeds):
+        progress(label, number / len(seeds))
+        yield seed
+    progress(label, 1.0)
