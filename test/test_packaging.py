@@ -20,7 +20,7 @@ MODULES = sorted(SOURCE.rglob('*.py'))
 # names without a suffix are modules; everything else is a folder.
 BASICS = {'errors', 'types', 'options'}
 ALLOWED = {
-    '__init__': BASICS | {'detection'},
+    '__init__': BASICS | {'detection', 'solvers'},
     'errors': set(),
     'types': set(),
     'options': {'errors'},
