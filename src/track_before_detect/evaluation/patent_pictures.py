@@ -21,6 +21,8 @@ from track_before_detect.models.psf import GaussianPsf
 COLOURS = {CONVEX: '#8c8c8c', CONTINUATION: '#1f77b4', COMBINATORIAL: '#2ca02c',
            GREEDY: '#d62728'}
 _TRUTH_COLOUR, _SIGNAL_COLOUR = 'black', '#4d4d4d'
+# What is shown beside the targets of a batch.
+_MARGIN_PX = 20.0
 _TRUTH_STYLE = {'color': 'white', 'linewidth': 1.0, 'linestyle': '--'}
 
 Found = Mapping[str, tuple[NDArray, NDArray]]
@@ -100,6 +102,7 @@ def _draw_frame(panels, scene, found, threshold, statistic):
     panels[1].set_ylabel('signal')
     panels[2].set_ylabel('signal')
     panels[3].set_ylabel('statistic')
+    _leave_room(panels[3])
     panels[3].axhline(threshold, color=COLOURS[GREEDY], linestyle='--',
                       label=f'threshold {threshold:g}')
     panels[3].legend(loc='upper right', fontsize='small')
@@ -111,11 +114,18 @@ def _draw_frame(panels, scene, found, threshold, statistic):
                    label=f'{method}: {len(at)}', marker='x' if method == CONVEX else 'o')
         axes.set_title(title, loc='left')
         axes.set_ylabel('amplitude')
+        _leave_room(axes)
         axes.legend(loc='upper right', fontsize='small')
     for axes in panels:
         axes.spines[['top', 'right']].set_visible(False)
     for axes in panels[3:]:
         axes.set_xlabel('position [px]')
+
+
+def _leave_room(axes):
+    """Make room for a legend above the curves."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(low, high + 0.4 * (high - low))
 
 
 def _stems(axes, at, heights, colour, marker='o', label=None, linewidth=1.5):
@@ -128,6 +138,8 @@ def _stems(axes, at, heights, colour, marker='o', label=None, linewidth=1.5):
 def _draw_batch(panels, scene, found, threshold, statistic):
     """Draw a batch: position over time as an image."""
     frames = np.arange(len(scene.measured))
+    low = max(scene.positions.min() - _MARGIN_PX, -0.5)
+    high = min(scene.positions.max() + _MARGIN_PX, scene.received.shape[1] - 0.5)
     images = ((scene.received, 'A  targets'), (scene.measured[:, 0], 'B  measured'),
               (statistic, 'C  matched filter'), (statistic, 'D  matched filter and targets'))
     for axes, (image, title) in zip(panels[:4], images, strict=True):
@@ -146,8 +158,10 @@ def _draw_batch(panels, scene, found, threshold, statistic):
                           linewidth=0.8 if method == CONVEX else 1.6,
                           label=None if number else f'{method}: {len(found[method][0])}')
         axes.set_title(f'{title}, threshold {threshold:.2f}', loc='left')
-        axes.set_ylim(-0.5, scene.received.shape[1] - 0.5)
-        axes.legend(loc='upper right', fontsize='small')
+        axes.legend(loc='upper right', fontsize='small', ncols=3)
+        axes.grid(alpha=0.3)
+    for axes in panels:
+        axes.set_ylim(low, high)
     for axes in panels[::3]:
         axes.set_ylabel('position [px]')
     for axes in panels[3:]:
