@@ -8,6 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
+from scipy.sparse.csgraph import connected_components
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.kernels import group_lasso
@@ -31,6 +32,8 @@ NEARLY = 0.97
 MOST_PRUNED_ROUNDS = 50
 # Share of its bound from which the statistic of a path is watched in every round.
 FOCUS = 0.95
+# Members up to which it does not pay to look for those that never meet.
+SOLVED_AT_ONCE = 100
 # Share of the gap over all paths, and of the gap asked for, that the working set is solved to.
 INNER_SHARE = 0.02
 FINAL_SHARE = 0.3
@@ -302,11 +305,26 @@ class _WorkingSet:
             wanted = max(INNER_SHARE * gap, FINAL_SHARE * tol * convex) if grew else 0.1 * gap
             matched = np.ascontiguousarray(
                 data_seen[:, problem.cells[self._members]].transpose(1, 0, 2))
-            group_lasso.solve(self._amplitudes, matched, self._gram, np.empty_like(matched),
-                              weight, self._non_negative, problem.energy, wanted,
-                              MOST_INNER_ROUNDS)
+            self._solve(matched, wanted)
         return FittedPaths(_as_given(problem, self._members, self._amplitudes), objective,
                            gap if self._t == 1.0 else float('nan'), status, violation, history)
+
+    def _solve(self, matched, wanted):
+        """Solve over the members to a duality gap; paths that never meet are solved apart."""
+        if len(matched) <= SOLVED_AT_ONCE:
+            self._solve_members(slice(None), matched, self._gram, wanted)
+            return
+        n_clusters, labels = connected_components(self._gram.any(axis=2), directed=False)
+        for cluster in range(n_clusters):
+            rows = np.flatnonzero(labels == cluster)
+            self._solve_members(rows, matched[rows], self._gram[np.ix_(rows, rows)],
+                                wanted / n_clusters)
+
+    def _solve_members(self, rows, matched, gram, wanted):
+        amplitudes = self._amplitudes[rows]
+        group_lasso.solve(amplitudes, matched, gram, np.empty_like(matched), self._weight,
+                          self._non_negative, self._problem.energy, wanted, MOST_INNER_ROUNDS)
+        self._amplitudes[rows] = amplitudes
 
     @property
     def _all_priced(self):
