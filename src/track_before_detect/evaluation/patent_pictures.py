@@ -158,7 +158,7 @@ def _draw_batch(panels, scene, found, threshold, statistic):
                           linewidth=0.8 if method == CONVEX else 1.6,
                           label=None if number else f'{method}: {len(found[method][0])}')
         axes.set_title(f'{title}, threshold {threshold:.2f}', loc='left')
-        axes.legend(loc='upper right', fontsize='small', ncols=3)
+        axes.legend(loc='best', fontsize='small', ncols=3)
         axes.grid(alpha=0.3)
     for axes in panels:
         axes.set_ylim(low, high)
