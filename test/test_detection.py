@@ -59,6 +59,14 @@ def test_search_that_is_too_large_leaves_out_the_fastest_motions_and_says_so(cap
     assert 'speeds up to 90 px/s would be too large' in caplog.text
 
 
+def test_frames_that_cannot_have_a_noise_of_one_are_named(caplog):
+    with caplog.at_level(logging.WARNING):
+        tbd.detect(FRAMES, threshold=9)
+        assert not caplog.records
+        tbd.detect(500 * FRAMES, threshold=9 * 500)
+    assert 'spread' in caplog.text and 'noise=robust' in caplog.text
+
+
 def test_input_is_left_as_it_was():
     frames = FRAMES.copy()
     frames[0, 0, 0] = np.nan

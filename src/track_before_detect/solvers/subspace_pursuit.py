@@ -30,6 +30,8 @@ from track_before_detect.types import Step
 
 # Paths added before the residual is searched again; each is tested on the residual it meets.
 MOST_NEW_PATHS = 64
+# No scene that can be told apart holds more; frames whose noise is far above one would.
+MOST_PATHS = 500
 # Two paths that share this much of their energy in the mean frame may be one target.
 ALIKE = 0.3
 # Passes over all paths in one round, and the fall of F_t that makes another one worthwhile; adding
@@ -176,6 +178,8 @@ class _Stage:
             history.append(Step(self._t, paths.objective(self._t), len(paths), violation))
             if not found:
                 return largest, fitted and largest <= bound
+            if len(paths) >= MOST_PATHS:
+                return largest, False
             if not sum([self._try_adding(path) for path in found]):
                 # The best path does not lower F_t once the others are fitted with it.
                 return largest, self._t < 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+import logging
 
 import numpy as np
 
@@ -16,6 +17,10 @@ from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Trajectory
 
 Progress = Callable[[str, float], None]
+
+_LOG = logging.getLogger(__name__)
+# A spread of the pixels above which noise=none must be an oversight.
+MOST_SPREAD = 3.0
 
 # The detectors by the names in options.DETECTORS.
 DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
@@ -37,6 +42,7 @@ class TrackingPipeline:
         self._options = options
         self._detector = DETECTOR_CLASSES[options.detector](options)
         self._stitcher = Stitcher(options.psf_sigma_px)
+        self._scale_is_known = options.noise != 'none'
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
                 progress: Progress | None = None) -> float:
@@ -83,6 +89,7 @@ class TrackingPipeline:
         """
         _check(batch)
         prepared = prepare(batch, self._options)
+        self._check_scale(prepared.frames[len(batch) // 2])
         result = self._detector.detect(prepared.frames, prepared.stamps, progress)
         trajectories = [_in_original_frames(found, prepared) for found in result.found]
         trajectories = [trajectory for trajectory in trajectories
@@ -93,6 +100,21 @@ class TrackingPipeline:
     def reset(self) -> None:
         """Forget identities and earlier batches."""
         self._stitcher.reset()
+
+    def _check_scale(self, frame):
+        """Say once when frames taken to have a noise of one cannot have."""
+        if self._scale_is_known:
+            return
+        self._scale_is_known = True
+        pixels = frame[np.isfinite(frame)]
+        if not len(pixels):
+            return
+        spread = 1.4826 * float(np.median(np.abs(pixels - np.median(pixels))))
+        if spread > MOST_SPREAD:
+            _LOG.warning(
+                'the pixels have a spread of %.3g, where noise=none takes a noise of 1 and a '
+                'background of 0: set noise=robust, and background=temporal_median if the scene '
+                'shows', spread)
 
     def _compile(self, progress):
         """Run every kernel once, on a target bright enough to pass through all stages."""
