@@ -17,6 +17,7 @@ FRAMES = np.random.default_rng(0).standard_normal((4, 16, 16))
     pytest.param(np.full((4, 16, 16), np.nan), 'finite', id='NaN everywhere'),
     pytest.param(np.zeros((4, 16, 16), bool), 'numbers.*bool', id='truth values'),
     pytest.param(np.full((4, 16, 16), 'a'), 'numbers', id='text'),
+    pytest.param([[[1, 2], [3]]], 'frames must be an array of numbers', id='ragged'),
     pytest.param(1j * FRAMES, 'real', id='complex'),
 ])
 def test_bad_frames_are_named(frames, message):
@@ -28,6 +29,7 @@ def test_bad_frames_are_named(frames, message):
     pytest.param([0.0, 1], r'shape \(4,\).*\(2,\)', id='too few'),
     pytest.param([0.0, 2, 1, 3], 'increase.*2 s.*1 s.*frame 2', id='backward'),
     pytest.param([0.0, 1, 1, 2], 'increase', id='repeated'),
+    pytest.param(['a'] * 4, 'stamps must be an array of numbers', id='text'),
     pytest.param([0.0, 1, np.nan, 2], 'finite.*nan', id='not finite'),
 ])
 def test_bad_stamps_are_named(stamps, message):
@@ -51,6 +53,14 @@ def test_bad_stamps_are_named(stamps, message):
 def test_bad_options_are_named(options, message):
     with pytest.raises(tbd.ParameterError, match=message):
         tbd.detect(FRAMES, **options)
+
+
+@pytest.mark.parametrize('speed', [1e4, 1e9])
+def test_absurd_speed_is_cut_to_what_can_be_searched(speed, caplog):
+    frames = np.zeros((5, 32, 32))
+    frames[:, 16, 16] = 20.0
+    assert len(tbd.detect(frames, threshold=12, max_speed_px_s=speed).trajectories) == 1
+    assert 'would be too large' in caplog.text
 
 
 def test_search_that_is_too_large_leaves_out_the_fastest_motions_and_says_so(caplog):

@@ -69,13 +69,20 @@ def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = '
     [[16.0, 16.0]]
     """
     settings = DetectorOptions.from_mapping({'detector': detector, **options})
-    array = np.asarray(frames)
+    array = _as_array('frames', frames)
     if array.ndim != 3 or 0 in array.shape:
         raise DataError(
             f'frames must have shape (T, H, W) with no empty side, got {array.shape}')
     if array.dtype == bool or not np.issubdtype(array.dtype, np.number):
         raise DataError(f'frames must hold numbers, got {array.dtype}')
-    times = np.arange(float(len(array))) if stamps is None else np.asarray(stamps, float)
+    times = np.arange(float(len(array))) if stamps is None else _as_array('stamps', stamps, float)
     if times.shape != (len(array),):
         raise DataError(f'stamps must have shape ({len(array)},), got {times.shape}')
     return detect_recording(_ArrayRecording(array, times), settings, progress)
+
+
+def _as_array(name, values, dtype=None):
+    try:
+        return np.asarray(values, dtype)
+    except (TypeError, ValueError) as error:
+        raise DataError(f'{name} must be an array of numbers: {error}') from error

@@ -72,7 +72,7 @@ class DetectorOptions:
         kind='numbers', minimum=0.0, maximum=1.0)
     batch_length: int | None = _option(
         None, 'Frames searched together; automatic is the whole recording, and 20 in the node.',
-        kind='integer', unit='frames', minimum=1, optional=True)
+        kind='integer', unit='frames', minimum=2, optional=True)
     hop: int | None = _option(
         None, 'Frames from the start of one batch to the next; automatic is half a batch.',
         kind='integer', unit='frames', minimum=1, optional=True)

@@ -17,6 +17,10 @@ import track_before_detect
 
 TIMEOUT_S = 60.0
 
+# A shell that starts the tests in the background has them ignore interrupts, and processes started
+# from here would inherit that; what a handler is set for is back to normal in a new process.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 try:
     with warnings.catch_warnings():
         # The message packages import these when a message is first sent; what they do is theirs.

@@ -399,9 +399,8 @@ class StreamWorker:
         shape, interval_s = self._window.shape, self._window.median_interval_s
         if shape is None or interval_s is None:
             shape, interval_s = self._expected
-        self._pipeline = TrackingPipeline(options)
+        self._pipeline = TrackingPipeline(options, self._pipeline)
         self._prepared_for = self._failed_for = None
-        self._on_reset()
         if shape is not None:
             self._prepare(shape, interval_s)
         else:

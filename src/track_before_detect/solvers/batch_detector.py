@@ -30,6 +30,9 @@ INTERVALS_TO_MAX_SPEED = 30
 # core); a wider search is cut down to fit.
 MOST_TABLE_BYTES = 2 * 2**30
 MOST_COMPARISONS = 8e9
+WIDEST_DISC = 60
+# Relative difference of frame intervals that share a calibration.
+SAME_INTERVAL = 0.2
 
 _LOG = logging.getLogger(__name__)
 
@@ -106,7 +109,8 @@ class BatchDetector(ABC):
         self.psf = GaussianPsf(options.psf_sigma_px)
         self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
         self._search: tuple[tuple, PathSearch] | None = None
-        self._thresholds: dict[tuple, float] = {}
+        # Thresholds for numbers of frames and shapes, each with the frame interval it is for.
+        self._thresholds: dict[tuple, list[tuple[float, float]]] = {}
         self._warned = False
 
     def graph(self, stamps: NDArray, shape: tuple[int, int]) -> StateGraph:
@@ -130,8 +134,11 @@ class BatchDetector(ABC):
         # Three digits are finer than any grid and keep equal cameras on one calibration.
         speed, acceleration = (float(f'{value:.3g}') for value in (
             speed * interval, acceleration * interval**2))
-        graph = self._graph(stamps, speed, acceleration)
-        fitting = speed
+        # A target that crosses the frame in one interval is as fast as can be seen, and a disc of
+        # velocities that wide is more than can be searched.
+        velocity_step = self._graph(stamps, min(speed, 1e-9), acceleration).velocity_step
+        fitting = min(speed, float(np.hypot(*shape)), WIDEST_DISC * velocity_step)
+        graph = self._graph(stamps, fitting, acceleration)
         while not self._affordable(graph, shape):
             if graph.n_velocities == 1:
                 raise ParameterError(
@@ -163,16 +170,18 @@ class BatchDetector(ABC):
         """Return the threshold for batches of this shape, calibrating it where it is unknown."""
         if self.options.threshold is not None:
             return self.options.threshold
-        key = (tuple(regular_stamps(stamps)), self._interval_key(stamps), shape)
-        if key not in self._thresholds:
-            self._thresholds[key] = threshold_for(
-                self.graph(stamps, shape), self.psf, self.model, shape,
-                self.options.false_alarm_rate, progress)
-        return self._thresholds[key]
-
-    def _interval_key(self, stamps):
-        """Return what the graph depends on beside the pattern of the stamps."""
-        return float(f'{np.median(np.diff(stamps)):.3g}') if len(stamps) > 1 else 0.0
+        # Lost frames, jitter and a drifting clock change the threshold by a few hundredths; a
+        # calibration for each pattern would stop a stream for half a minute at every lost frame.
+        interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0
+        known = self._thresholds.setdefault((len(stamps), shape), [])
+        for calibrated_interval, threshold in known:
+            if abs(interval / calibrated_interval - 1) <= SAME_INTERVAL:
+                return threshold
+        regular = self.graph(interval * np.arange(len(stamps)), shape)
+        threshold = threshold_for(regular, self.psf, self.model, shape,
+                                  self.options.false_alarm_rate, progress)
+        known.append((interval, threshold))
+        return threshold
 
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Callable[[str, float], None] | None = None) -> BatchResult:
@@ -195,7 +204,7 @@ class BatchDetector(ABC):
             clean, mask = np.ascontiguousarray(frames, np.float32), None
         else:
             clean, mask = np.where(valid, frames, np.float32(0)), valid
-        search = self._path_search(graph, stamps, shape, mask)
+        search = self._path_search(graph, shape, mask)
         valid_pixels = np.zeros((0, 0, 0), bool) if mask is None else mask
         paths = PathSet(clean, valid_pixels, self.psf, threshold, self.model)
         return self.solve(Task(graph, search, paths, regular_stamps(stamps), valid_pixels))
@@ -204,9 +213,9 @@ class BatchDetector(ABC):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
 
-    def _path_search(self, graph, stamps, shape, mask):
-        """Return the search for these frames, with its tables where the last one had them."""
-        key = (shape, tuple(regular_stamps(stamps)), self._interval_key(stamps))
+    def _path_search(self, graph, shape, mask):
+        """Return the search for these paths, with its tables where the last one had them."""
+        key = (shape, graph.reach, graph.moves.tobytes(), graph.end_moves.tobytes())
         if self._search is None or self._search[0] != key:
             self._search = (key, PathSearch(graph, self.psf, shape, self.model, usable_cores()))
         self._search[1].set_mask(mask)

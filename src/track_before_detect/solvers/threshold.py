@@ -72,9 +72,8 @@ def threshold_for(graph: StateGraph, psf: GaussianPsf, model: AmplitudeModel,
 
 def effective_area(graph: StateGraph, shape: tuple[int, int]) -> float:
     """Return the number of pixels in which a straight path can start and stay inside."""
-    span = np.zeros(2)
     extent = graph.step_px * np.abs(graph.end_moves.sum(axis=0))
-    room = np.maximum(np.array([shape[1], shape[0]]) - extent, span + 0.5)
+    room = np.maximum(np.array([shape[1], shape[0]]) - extent, 0.5)
     return float(np.mean(room[:, 0] * room[:, 1]))
 
 

@@ -36,12 +36,15 @@ class TrackingPipeline:
     ----------
     options : DetectorOptions
         What to look for and how.
+    earlier : TrackingPipeline, optional
+        Pipeline that this one takes over from, with the identities it knows.
     """
 
-    def __init__(self, options: DetectorOptions):
+    def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None):
         self._options = options
         self._detector = DETECTOR_CLASSES[options.detector](options)
-        self._stitcher = Stitcher(options.psf_sigma_px)
+        self._stitcher: Stitcher = (
+            earlier._stitcher if earlier else Stitcher(options.psf_sigma_px))
         self._scale_is_known = options.noise != 'none'
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
