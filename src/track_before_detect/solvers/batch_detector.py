@@ -116,11 +116,11 @@ class BatchDetector(ABC):
     def graph(self, stamps: NDArray, shape: tuple[int, int]) -> StateGraph:
         """Return the paths that are searched in frames of a shape taken at ``stamps`` (s).
 
-        Where the search would not fit into memory, the fastest motions are left out, with a
-        warning.
+        Where the search would take too much memory or time, the fastest motions are left out,
+        with a warning.
         """
         options = self.options
-        interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0
+        interval = _median_interval(stamps)
         speed = options.max_speed_px_s
         if speed is None:
             speed = 1.0 / interval
@@ -172,7 +172,7 @@ class BatchDetector(ABC):
             return self.options.threshold
         # Lost frames, jitter and a drifting clock change the threshold by a few hundredths; a
         # calibration for each pattern would stop a stream for half a minute at every lost frame.
-        interval = float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0
+        interval = _median_interval(stamps)
         known = self._thresholds.setdefault((len(stamps), shape), [])
         for calibrated_interval, threshold in known:
             if abs(interval / calibrated_interval - 1) <= SAME_INTERVAL:
@@ -220,3 +220,8 @@ class BatchDetector(ABC):
             self._search = (key, PathSearch(graph, self.psf, shape, self.model, usable_cores()))
         self._search[1].set_mask(mask)
         return self._search[1]
+
+
+def _median_interval(stamps):
+    """Return the median interval of stamps (s), 1 s for a single frame."""
+    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0
