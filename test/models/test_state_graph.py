@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_before_detect.models.state_graph import build_state_graph
+from track_before_detect.models.state_graph import build_state_graph, regular_stamps
 
 
 def graph_for(stamps, speed, acceleration, step=0.5):
@@ -60,3 +60,11 @@ def test_velocity_can_change_as_fast_as_asked():
         graph = graph_for(np.arange(40.0), 3.0, acceleration)
         able = graph.reach * graph.velocity_step / np.mean(np.diff(graph.knots))
         assert 0.4 * acceleration < able < 2.5 * acceleration
+
+
+def test_jitter_of_the_clock_is_rounded_away_and_dropped_frames_are_not():
+    generator = np.random.default_rng(1)
+    stamps = np.arange(20) * 0.04 + generator.uniform(-0.002, 0.002, 20)
+    np.testing.assert_array_equal(regular_stamps(stamps), np.arange(20.0))
+    np.testing.assert_array_equal(regular_stamps(np.delete(np.arange(6.0), 2)),
+                                  [0, 1, 3, 4, 5])

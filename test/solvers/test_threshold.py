@@ -10,16 +10,25 @@ from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph
 from track_before_detect.solvers import threshold as module
 from track_before_detect.solvers.path_search import PathSearch
-from track_before_detect.solvers.threshold import regular_stamps, threshold_for
+from track_before_detect.solvers.threshold import NoiseStudy, threshold_for
 
 PSF = GaussianPsf(2.0)
 MODEL = AmplitudeModel(NON_NEGATIVE)
 
 
+GRAPH = build_state_graph(np.arange(6.0), step_px=1.0, max_speed=1.0, max_acceleration=0.1,
+                          turn_cost=3.0)
+
+
+def searcher(shape):
+    search = PathSearch(GRAPH, PSF, shape, MODEL)
+    return lambda generator: np.sqrt(
+        search.best_value(generator.standard_normal((6, *shape), dtype=np.float32)))
+
+
 @pytest.fixture
-def graph():
-    return build_state_graph(np.arange(6.0), step_px=1.0, max_speed=1.0, max_acceleration=0.1,
-                             turn_cost=3.0)
+def study():
+    return NoiseStudy('paths', GRAPH.effective_area, searcher)
 
 
 @pytest.fixture(autouse=True)
@@ -30,58 +39,48 @@ def own_cache(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize('shape', [(32, 48), (96, 80)])
 @pytest.mark.parametrize('rate', [0.3, 0.05])
-def test_realised_rate_in_noise_is_the_requested_one(graph, shape, rate):
+def test_realised_rate_in_noise_is_the_requested_one(study, shape, rate):
     n_runs = 400
-    bound = threshold_for(graph, PSF, MODEL, shape, rate)
-    search = PathSearch(graph, PSF, shape, MODEL)
+    bound = threshold_for(study, shape, rate)
+    largest = study.searcher(shape)
     generator = np.random.default_rng(11)
-    found = sum(
-        search.best_value(generator.standard_normal((6, *shape), dtype=np.float32)) > bound**2
-        for _ in range(n_runs))
+    found = sum(largest(generator) > bound for _ in range(n_runs))
     # Four standard deviations of the count, and half as much again for the calibration itself.
     spread = 4 * np.sqrt(n_runs * rate * (1 - rate))
     assert n_runs * rate / 1.5 - spread < found < n_runs * rate * 1.5 + spread
 
 
-def test_threshold_falls_with_the_rate_and_rises_with_the_area(graph):
-    values = [threshold_for(graph, PSF, MODEL, (64, 64), rate) for rate in (0.001, 0.01, 0.1, 0.4)]
+def test_threshold_falls_with_the_rate_and_rises_with_the_area(study):
+    values = [threshold_for(study, (64, 64), rate) for rate in (0.001, 0.01, 0.1, 0.4)]
     assert (np.diff(values) < 0).all()
-    values = [threshold_for(graph, PSF, MODEL, (n, n), 0.05) for n in (64, 128, 512)]
+    values = [threshold_for(study, (n, n), 0.05) for n in (64, 128, 512)]
     assert (np.diff(values) > 0).all()
 
 
-def test_second_calibration_comes_from_the_cache(graph, monkeypatch):
-    first = threshold_for(graph, PSF, MODEL, (64, 64), 0.05)
+def test_second_calibration_comes_from_the_cache(study, monkeypatch):
+    first = threshold_for(study, (64, 64), 0.05)
     monkeypatch.setattr(module, '_simulate', None)
-    assert threshold_for(graph, PSF, MODEL, (64, 64), 0.05) == first
+    assert threshold_for(study, (64, 64), 0.05) == first
 
 
 @pytest.mark.parametrize('content', [b'', b'not an array'])
-def test_spoilt_cache_is_made_anew(graph, own_cache, content):
-    first = threshold_for(graph, PSF, MODEL, (64, 64), 0.05)
+def test_spoilt_cache_is_made_anew(study, own_cache, content):
+    first = threshold_for(study, (64, 64), 0.05)
     for file in own_cache.rglob('*.npy'):
         file.write_bytes(content)
-    assert threshold_for(graph, PSF, MODEL, (64, 64), 0.05) == first
+    assert threshold_for(study, (64, 64), 0.05) == first
 
 
-def test_cache_that_cannot_be_written_is_said_and_lived_with(graph, tmp_path, monkeypatch,
+def test_cache_that_cannot_be_written_is_said_and_lived_with(study, tmp_path, monkeypatch,
                                                             caplog):
     (tmp_path / 'file').write_text('')
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'file'))
     with caplog.at_level(logging.WARNING):
-        assert threshold_for(graph, PSF, MODEL, (64, 64), 0.05) > 0
+        assert threshold_for(study, (64, 64), 0.05) > 0
     assert 'could not be kept' in caplog.text
 
 
-def test_progress_rises_to_one(graph):
+def test_progress_rises_to_one(study):
     seen = []
-    threshold_for(graph, PSF, MODEL, (64, 64), 0.05, lambda label, done: seen.append(done))
+    threshold_for(study, (64, 64), 0.05, lambda label, done: seen.append(done))
     assert seen == sorted(seen) and seen[-1] == 1
-
-
-def test_jitter_of_the_clock_is_rounded_away_and_dropped_frames_are_not():
-    generator = np.random.default_rng(1)
-    stamps = np.arange(20) * 0.04 + generator.uniform(-0.002, 0.002, 20)
-    np.testing.assert_array_equal(regular_stamps(stamps), np.arange(20.0))
-    np.testing.assert_array_equal(regular_stamps(np.delete(np.arange(6.0), 2)),
-                                  [0, 1, 3, 4, 5])

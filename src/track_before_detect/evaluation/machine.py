@@ -11,7 +11,7 @@ import numpy as np
 import scipy
 
 from track_before_detect import __version__
-from track_before_detect.solvers.threshold import usable_cores
+from track_before_detect.solvers.cores import usable_cores
 
 
 def describe_machine() -> dict[str, str | int]:

@@ -9,6 +9,7 @@ also costs less than searching frame by frame, for the sum over a segment needs 
 from __future__ import annotations
 
 from dataclasses import dataclass
+import hashlib
 import math
 
 import numpy as np
@@ -72,6 +73,19 @@ class StateGraph:
         """Velocities of the grid."""
         return len(self.velocities)
 
+    def effective_area(self, shape: tuple[int, int]) -> float:
+        """Return the pixels of a frame (H, W) where a straight path can start and stay inside."""
+        extent = self.step_px * np.abs(self.end_moves.sum(axis=0))
+        room = np.maximum(np.array([shape[1], shape[0]]) - extent, 0.5)
+        return float(np.mean(room[:, 0] * room[:, 1]))
+
+    def fingerprint(self) -> str:
+        """Return a text that differs between graphs with different paths or costs."""
+        digest = hashlib.sha256(repr((self.reach, self.turn_cost, self.step_px)).encode())
+        for array in (self.knots, self.row_first, self.row_x, self.moves, self.end_moves):
+            digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
+        return digest.hexdigest()
+
 
 def build_state_graph(stamps: NDArray, *, step_px: float, max_speed: float,
                       max_acceleration: float, turn_cost: float) -> StateGraph:
@@ -124,6 +138,18 @@ def build_state_graph(stamps: NDArray, *, step_px: float, max_speed: float,
         end_moves[j] = _whole((ends[j] - stamps[knots[j]]) * velocities / step_px)
     return StateGraph(step_px, knots, velocities, velocity_step, reach, row_first, row_x,
                       moves, end_moves, float(turn_cost))
+
+
+def regular_stamps(stamps: NDArray) -> NDArray[np.float64]:
+    """Return stamps in units of their median interval, each interval rounded to quarters of it.
+
+    So the jitter of a clock does not ask for a calibration of its own.
+    """
+    if len(stamps) < 2:
+        return np.zeros(len(stamps))
+    intervals = np.diff(stamps)
+    quarters = np.maximum(np.rint(4 * intervals / np.median(intervals)), 1) / 4
+    return np.append(0.0, np.cumsum(quarters))
 
 
 def _whole(values):

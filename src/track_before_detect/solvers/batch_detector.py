@@ -1,40 +1,20 @@
-"""What every detector of one batch shares: the paths it searches, its threshold, its result."""
+"""What every detector of one batch offers: a threshold and a result."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-import logging
 
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.psf import GaussianPsf
-from track_before_detect.models.state_graph import build_state_graph, StateGraph
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.path_search import PathSearch
-from track_before_detect.solvers.path_set import PathSet
-from track_before_detect.solvers.threshold import (
-    regular_stamps,
-    threshold_for,
-    usable_cores,
-)
+from track_before_detect.solvers.threshold import NoiseStudy, threshold_for
 from track_before_detect.types import Step
 
-# Largest acceleration unless given: the maximum speed within this many frame intervals.
-INTERVALS_TO_MAX_SPEED = 30
-# Memory for the tables of one search, and comparisons made to fill them (some seconds of one
-# core); a wider search is cut down to fit.
-MOST_TABLE_BYTES = 2 * 2**30
-MOST_COMPARISONS = 8e9
-WIDEST_DISC = 60
 # Relative difference of frame intervals that share a calibration.
 SAME_INTERVAL = 0.2
-
-_LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -70,100 +50,24 @@ class BatchResult:
     gap: float
 
 
-@dataclass(frozen=True)
-class Task:
-    """One batch, ready to be searched.
-
-    Attributes
-    ----------
-    graph : StateGraph
-        The paths.
-    search : PathSearch
-        Finds the best of them.
-    paths : PathSet
-        Holds the frames; starts empty.
-    times : array, shape (T,)
-        In the unit of time of the graph.
-    valid : array of bool, shape (T, H, W) or (0, 0, 0)
-        Pixels that hold data; of no frames where all do.
-    """
-
-    graph: StateGraph
-    search: PathSearch
-    paths: PathSet
-    times: NDArray[np.float64]
-    valid: NDArray[np.bool_]
-
-
 class BatchDetector(ABC):
     """Finds the trajectories of one batch of prepared frames.
 
     Parameters
     ----------
     options : DetectorOptions
-        Motion, PSF and threshold.
+        What to look for, and the threshold or the rate it follows from.
+
+    Raises
+    ------
+    ParameterError
+        An option asks for what this detector cannot do.
     """
 
     def __init__(self, options: DetectorOptions):
         self.options = options
-        self.psf = GaussianPsf(options.psf_sigma_px)
-        self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
-        self._search: tuple[tuple, PathSearch] | None = None
         # Thresholds for numbers of frames and shapes, each with the frame interval it is for.
         self._thresholds: dict[tuple, list[tuple[float, float]]] = {}
-        self._warned = False
-
-    def graph(self, stamps: NDArray, shape: tuple[int, int]) -> StateGraph:
-        """Return the paths that are searched in frames of a shape taken at ``stamps`` (s).
-
-        Where the search would take too much memory or time, the fastest motions are left out,
-        with a warning.
-        """
-        options = self.options
-        interval = _median_interval(stamps)
-        speed = options.max_speed_px_s
-        if speed is None:
-            speed = 1.0 / interval
-        if options.motion_model == 'static' or len(stamps) == 1:
-            speed = 0.0
-        acceleration = options.max_acceleration_px_s2
-        if acceleration is None:
-            acceleration = speed / (INTERVALS_TO_MAX_SPEED * interval)
-        if options.motion_model == 'constant_velocity':
-            acceleration = 0.0
-        # Three digits are finer than any grid and keep equal cameras on one calibration.
-        speed, acceleration = (float(f'{value:.3g}') for value in (
-            speed * interval, acceleration * interval**2))
-        # A target that crosses the frame in one interval is as fast as can be seen, and a disc of
-        # velocities that wide is more than can be searched.
-        velocity_step = self._graph(stamps, min(speed, 1e-9), acceleration).velocity_step
-        fitting = min(speed, float(np.hypot(*shape)), WIDEST_DISC * velocity_step)
-        graph = self._graph(stamps, fitting, acceleration)
-        while not self._affordable(graph, shape):
-            if graph.n_velocities == 1:
-                raise ParameterError(
-                    f'a batch of {len(stamps)} frames of {shape[1]} x {shape[0]} pixels is too '
-                    f'large to search, even for targets that stand still: lower batch_length')
-            fitting *= 0.95
-            graph = self._graph(stamps, fitting, acceleration)
-        if fitting < speed and not self._warned:
-            self._warned = True
-            _LOG.warning(
-                'the search for speeds up to %.3g px/s would be too large; it is made up to '
-                '%.3g px/s. A lower max_speed_px_s, max_acceleration_px_s2 or batch_length, or '
-                'a wider psf_sigma_px, avoids this', speed / interval, fitting / interval)
-        return graph
-
-    def _graph(self, stamps, speed, acceleration):
-        return build_state_graph(
-            regular_stamps(stamps), step_px=1 / self.psf.oversampling, max_speed=speed,
-            max_acceleration=acceleration, turn_cost=self.model.turn_cost)
-
-    def _affordable(self, graph, shape):
-        positions = np.prod([(n - 1) * self.psf.oversampling + 1.0 for n in shape])
-        states = graph.n_segments * graph.n_velocities * positions
-        return (4 * states <= MOST_TABLE_BYTES
-                and states * (1 + 4 * graph.reach) <= MOST_COMPARISONS)
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
                   progress: Callable[[str, float], None] | None = None) -> float:
@@ -172,17 +76,29 @@ class BatchDetector(ABC):
             return self.options.threshold
         # Lost frames, jitter and a drifting clock change the threshold by a few hundredths; a
         # calibration for each pattern would stop a stream for half a minute at every lost frame.
-        interval = _median_interval(stamps)
+        interval = median_interval(stamps)
         known = self._thresholds.setdefault((len(stamps), shape), [])
         for calibrated_interval, threshold in known:
             if abs(interval / calibrated_interval - 1) <= SAME_INTERVAL:
                 return threshold
-        regular = self.graph(interval * np.arange(len(stamps)), shape)
-        threshold = threshold_for(regular, self.psf, self.model, shape,
-                                  self.options.false_alarm_rate, progress)
+        study = self.noise_study(interval * np.arange(len(stamps)), shape)
+        threshold = threshold_for(study, shape, self.options.false_alarm_rate, progress)
         known.append((interval, threshold))
         return threshold
 
+    @abstractmethod
+    def noise_study(self, stamps: NDArray, shape: tuple[int, int]) -> NoiseStudy:
+        """Return how to find the largest statistic in noise.
+
+        Parameters
+        ----------
+        stamps : array, shape (T,)
+            Seconds, at equal intervals.
+        shape : tuple of int
+            (H, W) of the frames.
+        """
+
+    @abstractmethod
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Callable[[str, float], None] | None = None) -> BatchResult:
         """Find the trajectories.
@@ -196,32 +112,8 @@ class BatchDetector(ABC):
         progress : callable, optional
             Told of a calibration.
         """
-        shape = frames.shape[1:]
-        graph = self.graph(stamps, shape)
-        threshold = self.threshold(stamps, shape, progress)
-        valid = np.isfinite(frames)
-        if valid.all():
-            clean, mask = np.ascontiguousarray(frames, np.float32), None
-        else:
-            clean, mask = np.where(valid, frames, np.float32(0)), valid
-        search = self._path_search(graph, shape, mask)
-        valid_pixels = np.zeros((0, 0, 0), bool) if mask is None else mask
-        paths = PathSet(clean, valid_pixels, self.psf, threshold, self.model)
-        return self.solve(Task(graph, search, paths, regular_stamps(stamps), valid_pixels))
-
-    @abstractmethod
-    def solve(self, task: Task) -> BatchResult:
-        """Find the paths of a batch."""
-
-    def _path_search(self, graph, shape, mask):
-        """Return the search for these paths, with its tables where the last one had them."""
-        key = (shape, graph.reach, graph.moves.tobytes(), graph.end_moves.tobytes())
-        if self._search is None or self._search[0] != key:
-            self._search = (key, PathSearch(graph, self.psf, shape, self.model, usable_cores()))
-        self._search[1].set_mask(mask)
-        return self._search[1]
 
 
-def _median_interval(stamps):
+def median_interval(stamps: NDArray) -> float:
     """Return the median interval of stamps (s), 1 s for a single frame."""
     return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0

@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_before_detect.solvers.batch_detector import (
-    BatchDetector,
-    BatchResult,
-    FoundTrajectory,
-    Task,
-)
+from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
+from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refinement import Refiner
 from track_before_detect.solvers.subspace_pursuit import pursue, PursuitSettings
 
 
-class ConvexDetector(BatchDetector):
+class ConvexDetector(PathDetector):
     """Finds all trajectories of a batch jointly, by the schedule ``continuation``."""
 
     def solve(self, task: Task) -> BatchResult:

@@ -10,12 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from track_before_detect.kernels.shrinkage import shrink
-from track_before_detect.solvers.batch_detector import (
-    BatchDetector,
-    BatchResult,
-    FoundTrajectory,
-    Task,
-)
+from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
+from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.types import Step
 
 # Every path lowers the energy of the residual, so the search ends, but what rounding leaves of an
@@ -23,7 +19,7 @@ from track_before_detect.types import Step
 MOST_PATHS = 1000
 
 
-class GreedyDetector(BatchDetector):
+class GreedyDetector(PathDetector):
     """Finds the trajectories of a batch one by one."""
 
     def solve(self, task: Task) -> BatchResult:
