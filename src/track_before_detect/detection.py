@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import ArrayLike
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.tracking.recorded import detect_recording
-from track_before_detect.types import DetectionResult
+from track_before_detect.types import DetectionResult, Progress
 
 
 class _ArrayRecording:
@@ -29,7 +28,7 @@ class _ArrayRecording:
 
 
 def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = 'convex', *,
-           progress: Callable[[str, float], None] | None = None,
+           progress: Progress | None = None,
            **options: Any) -> DetectionResult:
     """Find the trajectories of moving targets in a sequence of frames.
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+
+# Told, during long work, what is being done and the share that is done, 0 to 1.
+Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

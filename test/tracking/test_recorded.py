@@ -52,6 +52,21 @@ def test_frames_without_the_target_are_nan():
     assert np.isnan(positions[20:]).all()
 
 
+def test_batch_without_a_finite_pixel_is_passed_over(caplog):
+    frames, truth = moving_target(30)
+    frames[10:20] = np.nan
+    result = tbd.detect(frames, **OPTIONS, batch_length=10, hop=10)
+    assert result.n_batches == 2
+    assert 'frames 10 to 19 hold no finite pixel' in caplog.text
+    found = np.any([np.isfinite(found.positions[:, 0]) for found in result.trajectories], axis=0)
+    np.testing.assert_array_equal(found, np.repeat([True, False, True], 10))
+
+
+def test_recording_without_a_finite_pixel_is_refused():
+    with pytest.raises(tbd.DataError, match='no pixel of the 30 frames is finite'):
+        tbd.detect(np.full((30, 8, 8), np.nan), **OPTIONS, batch_length=10, hop=10)
+
+
 def test_dropped_frames_do_not_shift_the_target():
     frames, truth = moving_target(30)
     keep = np.delete(np.arange(30), [4, 5, 13, 22])

@@ -27,8 +27,7 @@ from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.tracking.pipeline import TrackingPipeline
-
-Progress = Callable[[str, float], None]
+from track_before_detect.types import Progress
 
 REPEATS = 7
 SEED = 1

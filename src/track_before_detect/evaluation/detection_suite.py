@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import dataclasses
 import time
 from typing import Any
@@ -22,7 +21,7 @@ from track_before_detect.evaluation.runs import announced, checked_runs, run_see
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.tracking.pipeline import TrackingPipeline
-from track_before_detect.types import FrameBatch
+from track_before_detect.types import FrameBatch, Progress
 
 # A target is found when the mean position error over the batch is below this.
 FOUND_PX = 1.5
@@ -55,7 +54,7 @@ class _Run:
                 if field.name not in ('distances', 'statistics')}
 
 
-def run_detection(runs: int, seed: int, progress: Callable[[str, float], None],
+def run_detection(runs: int, seed: int, progress: Progress,
                   **overrides: Any) -> SuiteResult:
     """Search simulated batches with known targets, and batches of noise.
 

@@ -31,6 +31,7 @@ from track_before_detect.evaluation.runs import announced, checked_runs, run_see
 from track_before_detect.options import DEFAULT_CONTINUATION, DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchDetector
 from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+from track_before_detect.types import Progress
 
 METHODS: dict[str, dict[str, Any]] = {
     CONVEX: {'detector': 'convex', 'continuation': (1.0,)},
@@ -63,7 +64,7 @@ class _Run:
                 'threshold': self.threshold, 'status': self.status, 'cpu_s': self.cpu_s}
 
 
-def run_patent(runs: int, seed: int, progress: Callable[[str, float], None]) -> SuiteResult:
+def run_patent(runs: int, seed: int, progress: Progress) -> SuiteResult:
     """Detect the targets of each figure by each method.
 
     Parameters

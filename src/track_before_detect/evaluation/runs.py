@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.types import Progress
 
 
 def checked_runs(runs: int, seed: int) -> None:
@@ -24,7 +25,7 @@ def run_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
 
 
 def announced(seeds: Sequence[int], label: str,
-              progress: Callable[[str, float], None]) -> Iterator[int]:
+              progress: Progress) -> Iterator[int]:
     """Yield the seeds and tell the share done before each and at the end."""
     for number, seed in enumerate(seeds):
         progress(label, number / len(seeds))

@@ -10,8 +10,7 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.detection_suite import run_detection
 from track_before_detect.evaluation.patent_suite import run_patent
 from track_before_detect.evaluation.report import SuiteResult
-
-Progress = Callable[[str, float], None]
+from track_before_detect.types import Progress
 
 
 @dataclass(frozen=True)

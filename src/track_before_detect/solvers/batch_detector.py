@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.threshold import NoiseStudy, threshold_for
-from track_before_detect.types import Step
+from track_before_detect.types import Progress, Step
 
 # Relative difference of frame intervals that share a calibration.
 SAME_INTERVAL = 0.2
@@ -70,7 +69,7 @@ class BatchDetector(ABC):
         self._thresholds: dict[tuple, list[tuple[float, float]]] = {}
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
-                  progress: Callable[[str, float], None] | None = None) -> float:
+                  progress: Progress | None = None) -> float:
         """Return the threshold for batches of this shape, calibrating it where it is unknown."""
         if self.options.threshold is not None:
             return self.options.threshold
@@ -100,7 +99,7 @@ class BatchDetector(ABC):
 
     @abstractmethod
     def detect(self, frames: NDArray, stamps: NDArray,
-               progress: Callable[[str, float], None] | None = None) -> BatchResult:
+               progress: Progress | None = None) -> BatchResult:
         """Find the trajectories.
 
         Parameters

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable
 from dataclasses import dataclass
 import logging
 
@@ -28,6 +27,7 @@ from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
 from track_before_detect.solvers.threshold import NoiseStudy
+from track_before_detect.types import Progress
 
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
 INTERVALS_TO_MAX_SPEED = 30
@@ -150,7 +150,7 @@ class PathDetector(BatchDetector):
                           graph.effective_area, searcher)
 
     def detect(self, frames: NDArray, stamps: NDArray,
-               progress: Callable[[str, float], None] | None = None) -> BatchResult:
+               progress: Progress | None = None) -> BatchResult:
         """Find the trajectories."""
         shape = frames.shape[1:]
         graph = self.graph(stamps, shape)

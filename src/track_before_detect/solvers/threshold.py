@@ -20,6 +20,7 @@ import threading
 import numpy as np
 
 from track_before_detect.solvers.cores import usable_cores
+from track_before_detect.types import Progress
 
 _LOG = logging.getLogger(__name__)
 
@@ -35,8 +36,6 @@ N_TAIL = 150
 SEED = 20240720
 # Part of the key of every cached calibration: change it when the search gives other values.
 REVISION = 3
-
-Progress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True)

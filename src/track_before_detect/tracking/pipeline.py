@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import logging
 
 import numpy as np
@@ -14,9 +13,7 @@ from track_before_detect.solvers.batch_detector import BatchDetector, FoundTraje
 from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.tracking.stitcher import Stitcher
-from track_before_detect.types import DetectionResult, FrameBatch, Trajectory
-
-Progress = Callable[[str, float], None]
+from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
 _LOG = logging.getLogger(__name__)
 # A spread of the pixels above which noise=none must be an oversight.

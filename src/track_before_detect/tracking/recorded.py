@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.tracking.pipeline import TrackingPipeline
-from track_before_detect.types import DetectionResult, FrameBatch, Step, Trajectory
+from track_before_detect.types import DetectionResult, FrameBatch, Progress, Step, Trajectory
 
-Progress = Callable[[str, float], None]
+_LOG = logging.getLogger(__name__)
 
 
-class FrameSource(Protocol):
+class FrameSequence(Protocol):
     """What a recording has to offer; see the readers of the room ``recordings``."""
 
     @property
@@ -39,13 +40,13 @@ def batch_starts(n_frames: int, length: int, hop: int) -> list[int]:
     return starts
 
 
-def detect_recording(recording: FrameSource, options: DetectorOptions,
+def detect_recording(recording: FrameSequence, options: DetectorOptions,
                      progress: Progress | None = None) -> DetectionResult:
     """Find all trajectories of a recording.
 
     Parameters
     ----------
-    recording : FrameSource
+    recording : FrameSequence
         Read frame by frame; at most one batch is held.
     options : DetectorOptions
         ``batch_length`` None takes the whole recording as one batch, ``hop`` None half a batch.
@@ -67,6 +68,7 @@ def detect_recording(recording: FrameSource, options: DetectorOptions,
     joined = _Joined(stamps)
     history: list[Step] = []
     status, threshold, gap = 'converged', 0.0, float('nan')
+    n_searched = 0
     held: dict[int, NDArray] = {}
     for number, start in enumerate(starts):
         held = {index: held[index] if index in held else np.asarray(recording[index])
@@ -74,6 +76,12 @@ def detect_recording(recording: FrameSource, options: DetectorOptions,
         indices = np.arange(start, start + length)
         batch = FrameBatch(
             np.stack([held[int(index)] for index in indices]), stamps[indices], indices)
+        if not np.isfinite(batch.frames).any() and len(starts) > 1:
+            # A gap in the recording ends no more than the trajectories that reach into it.
+            _LOG.warning('frames %d to %d hold no finite pixel and are passed over',
+                         start, start + length - 1)
+            continue
+        n_searched += 1
         result = pipeline.process(batch, progress)
         joined.add(result.trajectories)
         history += result.history
@@ -83,8 +91,9 @@ def detect_recording(recording: FrameSource, options: DetectorOptions,
             status = result.status
         if progress is not None:
             progress('searching', (number + 1) / len(starts))
-    return DetectionResult(joined.trajectories(), threshold, status, history, gap,
-                           len(starts))
+    if not n_searched:
+        raise DataError(f'no pixel of the {n_frames} frames is finite')
+    return DetectionResult(joined.trajectories(), threshold, status, history, gap, n_searched)
 
 
 class _Joined:
