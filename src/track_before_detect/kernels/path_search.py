@@ -18,6 +18,9 @@ row_first, row_x : int32 (R,)
 
 A position outside the grid has weight ``ABSENT``.
 
+Every value is computed by the same operations in the same order whether a whole table is filled
+or a few of its states are computed anew, so both give the same bits.
+
 The loops over x are small functions of their own on purpose: written into the nest above them
 they are not vectorised. They take whole arrays, flat, with unsigned offsets: a slice for each row
 would cost two atomic updates of a reference count, as long as adding sixty numbers, and a signed
@@ -29,7 +32,7 @@ import numpy as np
 
 ABSENT = np.float32(-1e30)
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
+_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz'}}
 _U = np.uint64
 
 
@@ -40,7 +43,8 @@ def _fill(out, o, n, value):
 
 
 @numba.njit(**_COMPILE)
-def _copy(out, o, source, a, n):
+def copy_row(out, o, source, a, n):
+    """Write source[a + x] to out[o + x]."""
     for x in range(_U(n)):
         out[o + x] = source[a + x]
 
@@ -79,7 +83,8 @@ def _turn_and_add_three(out, o, turns, here, left, right, cost, source, a, b, c,
 
 
 @numba.njit(**_COMPILE)
-def _raise_to(out, o, source, a, n, cost):
+def raise_row(out, o, source, a, n, cost):
+    """Raise out[o + x] to source[a + x] - cost where that is more."""
     for x in range(_U(n)):
         other = source[a + x] - cost
         out[o + x] = out[o + x] if out[o + x] > other else other
@@ -94,23 +99,23 @@ def _best_of_three(out, o, source, here, left, right, n, cost):
 
 
 @numba.njit(**_COMPILE)
-def _shifted_row(out, o, value, row, y, n_y, n_x, move_x, move_y):
-    """Write value[y + move_y, v, x + move_x] to out[o + x]; ABSENT off the grid.
+def shifted_row(out, o, value, row, y, n_y, n_x, move_x, move_y, start, stop):
+    """Write value[y + move_y, v, x + move_x] to out[o + x], x from ``start`` to ``stop``.
 
+    Positions off the grid are ABSENT.
     ``row`` is the flat index of value[y + move_y, v, 0].
     """
-    first = max(0, -move_x)
-    last = min(n_x, n_x - move_x)
-    if y + move_y < 0 or y + move_y >= n_y or last <= first:
-        _fill(out, o, n_x, ABSENT)
-        return
-    _fill(out, o, first, ABSENT)
-    _copy(out, o + _U(first), value, _U(row + first + move_x), last - first)
-    _fill(out, o + _U(last), n_x - last, ABSENT)
+    first = min(max(start, -move_x), stop)
+    last = max(min(stop, n_x - move_x), first)
+    if y + move_y < 0 or y + move_y >= n_y:
+        last = first
+    _fill(out, o + _U(start), first - start, ABSENT)
+    copy_row(out, o + _U(first), value, _U(row + first + move_x), last - first)
+    _fill(out, o + _U(last), stop - last, ABSENT)
 
 
 @numba.njit(**_COMPILE)
-def _extents(moves, first_frame, last_frame, n_y, n_x):
+def extents_of(moves, first_frame, last_frame, n_y, n_x):
     """Return what adding the scores of a segment needs for each velocity.
 
     extents[v] : first and last x, first and last y from which all frames stay on the grid
@@ -156,38 +161,32 @@ def _add_scores(out, o, scores, offsets, v, start, n, t):
 def _raise_from_sides(out, o, source, start, stride, here, n_rows, k, n, cost):
     """Raise out[o + x] to the rows k before and k after row ``here`` where there are such."""
     if 0 <= here - k < n_rows:
-        _raise_to(out, o, source, _U(start + (here - k) * stride), n, np.float32(k) * cost)
+        raise_row(out, o, source, _U(start + (here - k) * stride), n, np.float32(k) * cost)
     if 0 <= here + k < n_rows:
-        _raise_to(out, o, source, _U(start + (here + k) * stride), n, np.float32(k) * cost)
+        raise_row(out, o, source, _U(start + (here + k) * stride), n, np.float32(k) * cost)
 
 
 @numba.njit(**_COMPILE)
-def _best_turn_x(turns, flat, block, row_first, row_x, width, n_x, reach, cost):
-    """Write to ``turns`` the best within ``reach`` steps of v_x, less ``cost`` a step.
+def best_turn_x(turns, o, flat, row, i, n_v, n_x, start, n, reach, cost):
+    """Write to turns[o + x] the best within ``reach`` steps of v_x, less ``cost`` a step.
 
     The cost of a turn is the sum of its steps in v_x and v_y, so the maximum over the square of
     velocities is one over v_x and then one over v_y. Rows of the disc of velocities have different
-    lengths; ``turns`` (rows, width, X), flat, is filled for the columns that a longer neighbouring
-    row needs too. The velocities of one position row start at ``flat[block]``.
+    lengths: ``i`` counts from the first velocity of the row and may lie outside the row, for a
+    longer neighbouring row needs those columns too. The row of velocities starts at flat[row].
     """
-    n_rows = row_x.size
-    for r in range(n_rows):
-        first = block + row_first[r] * n_x
-        n_v = row_first[r + 1] - row_first[r]
-        for c in range(width):
-            i = c - row_x[r]
-            o = _U((r * width + c) * n_x)
-            nearest = 1
-            if 1 <= i < n_v - 1:
-                _best_of_three(turns, o, flat, _U(first + i * n_x), _U(first + (i - 1) * n_x),
-                               _U(first + (i + 1) * n_x), n_x, cost)
-                nearest = 2
-            elif 0 <= i < n_v:
-                _copy(turns, o, flat, _U(first + i * n_x), n_x)
-            else:
-                _fill(turns, o, n_x, ABSENT)
-            for k in range(nearest, reach + 1):
-                _raise_from_sides(turns, o, flat, first, n_x, i, n_v, k, n_x, cost)
+    here = row + start
+    nearest = 1
+    if 1 <= i < n_v - 1:
+        _best_of_three(turns, o, flat, _U(here + i * n_x), _U(here + (i - 1) * n_x),
+                       _U(here + (i + 1) * n_x), n, cost)
+        nearest = 2
+    elif 0 <= i < n_v:
+        copy_row(turns, o, flat, _U(here + i * n_x), n)
+    else:
+        _fill(turns, o, n, ABSENT)
+    for k in range(nearest, reach + 1):
+        _raise_from_sides(turns, o, flat, here, n_x, i, n_v, k, n, cost)
 
 
 @numba.njit(**_COMPILE)
@@ -199,17 +198,41 @@ def _best_turn_y(out, o, turns, column, stride, r, n_rows, n, reach, cost):
                        _U((r + 1) * stride + column), n, cost)
         nearest = 2
     else:
-        _copy(out, o, turns, _U(r * stride + column), n)
+        copy_row(out, o, turns, _U(r * stride + column), n)
     for k in range(nearest, reach + 1):
         _raise_from_sides(out, o, turns, column, stride, r, n_rows, k, n, cost)
 
 
 @numba.njit(**_COMPILE)
-def _row_width(row_first, row_x):
+def row_width(row_first, row_x):
+    """Return the number of columns of the grid of velocities."""
     width = 0
     for r in range(row_x.size):
         width = max(width, row_x[r] + row_first[r + 1] - row_first[r])
     return width
+
+
+@numba.njit(**_COMPILE)
+def extend(flat, o, turns, column, stride, r, n_rows, reach, cost, starting, scores, offsets, v,
+            start, n):
+    """Write to flat[o + x] the best turn and the weights met in the segment.
+
+    ``column`` is the flat index of the first state in a row of ``turns``, ``start`` that of its
+    position in a frame. All frames of the segment stay on the grid.
+    """
+    done = 0
+    if starting:
+        _fill(flat, o, n, np.float32(0))
+    elif reach == 1 and 1 <= r < n_rows - 1 and offsets.shape[1] >= 3:
+        # The common case in one loop, which spares a pass over the row.
+        _turn_and_add_three(
+            flat, o, turns, _U(r * stride + column), _U((r - 1) * stride + column),
+            _U((r + 1) * stride + column), cost, scores, _U(start + offsets[v, 0]),
+            _U(start + offsets[v, 1]), _U(start + offsets[v, 2]), n)
+        done = 3
+    else:
+        _best_turn_y(flat, o, turns, column, stride, r, n_rows, n, reach, cost)
+    _add_scores(flat, o, scores, offsets, v, start, n, done)
 
 
 @numba.njit(**_COMPILE)
@@ -227,19 +250,23 @@ def forward_segment(value, before, scores, moves, end_moves_before, first_frame,
     flat_before = before.reshape(before.size)
     flat_scores = scores.reshape(scores.size)
     starting = before.shape[0] == 0
-    width = _row_width(row_first, row_x)
+    width = row_width(row_first, row_x)
     stride = width * n_x
     n_rows = row_x.size
     turns = np.empty(n_rows * stride, np.float32)
-    extents, offsets = _extents(moves, first_frame, last_frame, n_y, n_x)
+    extents, offsets = extents_of(moves, first_frame, last_frame, n_y, n_x)
     for y in range(first_row, last_row):
         block = y * n_v * n_x
         if not starting:
             for v in range(n_v):
                 move_x, move_y = -end_moves_before[v, 0], -end_moves_before[v, 1]
-                _shifted_row(flat, _U(block + v * n_x), flat_before,
-                             ((y + move_y) * n_v + v) * n_x, y, n_y, n_x, move_x, move_y)
-            _best_turn_x(turns, flat, block, row_first, row_x, width, n_x, reach, cost)
+                shifted_row(flat, _U(block + v * n_x), flat_before,
+                             ((y + move_y) * n_v + v) * n_x, y, n_y, n_x, move_x, move_y, 0, n_x)
+            for r in range(n_rows):
+                for c in range(width):
+                    best_turn_x(turns, _U((r * width + c) * n_x), flat,
+                                 block + row_first[r] * n_x, c - row_x[r],
+                                 row_first[r + 1] - row_first[r], n_x, 0, n_x, reach, cost)
         for r in range(n_rows):
             for v in range(row_first[r], row_first[r + 1]):
                 o = _U(block + v * n_x)
@@ -249,24 +276,9 @@ def forward_segment(value, before, scores, moves, end_moves_before, first_frame,
                     continue
                 _fill(flat, o, first, ABSENT)
                 _fill(flat, o + _U(last), n_x - last, ABSENT)
-                inside = o + _U(first)
-                start = y * n_x + first
-                n = last - first
                 column = (row_x[r] + v - row_first[r]) * n_x + first
-                done = 0
-                if starting:
-                    _fill(flat, inside, n, np.float32(0))
-                elif reach == 1 and 1 <= r < n_rows - 1 and offsets.shape[1] >= 3:
-                    # The common case in one loop, which spares a pass over the row.
-                    _turn_and_add_three(
-                        flat, inside, turns, _U(r * stride + column),
-                        _U((r - 1) * stride + column), _U((r + 1) * stride + column), cost,
-                        flat_scores, _U(start + offsets[v, 0]), _U(start + offsets[v, 1]),
-                        _U(start + offsets[v, 2]), n)
-                    done = 3
-                else:
-                    _best_turn_y(flat, inside, turns, column, stride, r, n_rows, n, reach, cost)
-                _add_scores(flat, inside, flat_scores, offsets, v, start, n, done)
+                extend(flat, o + _U(first), turns, column, stride, r, n_rows, reach, cost,
+                        starting, flat_scores, offsets, v, y * n_x + first, last - first)
 
 
 @numba.njit(**_COMPILE)
@@ -276,6 +288,6 @@ def best_by_position(value, out, first_row, last_row):
     flat = value.reshape(value.size)
     flat_out = out.reshape(out.size)
     for y in range(first_row, last_row):
-        _copy(flat_out, _U(y * n_x), flat, _U(y * n_v * n_x), n_x)
+        copy_row(flat_out, _U(y * n_x), flat, _U(y * n_v * n_x), n_x)
         for v in range(1, n_v):
-            _raise_to(flat_out, _U(y * n_x), flat, _U((y * n_v + v) * n_x), n_x, np.float32(0))
+            raise_row(flat_out, _U(y * n_x), flat, _U((y * n_v + v) * n_x), n_x, np.float32(0))

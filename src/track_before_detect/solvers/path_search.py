@@ -10,7 +10,6 @@ solution at hand is optimal.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 import math
 
@@ -21,6 +20,7 @@ from track_before_detect.kernels import matched_filter, path_search
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import StateGraph
+from track_before_detect.solvers.path_table import PathTable
 
 NO_MASK = np.empty((0, 0), np.float32)
 
@@ -58,16 +58,13 @@ class PathSearch:
     model : AmplitudeModel
         Says what a position adds to the value of a path.
     n_threads : int
-        Threads that share the rows of the frames. The compiled loops release the interpreter
-        lock, so plain threads do, and numba's own threading layer, which aborts the process when
-        two threads enter it, is never used.
+        Threads that share the rows of the frames.
     """
 
     def __init__(self, graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int],
                  model: AmplitudeModel, n_threads: int = 1):
         self.model = model
         self.graph = graph
-        self._n_threads = n_threads
         n_sub = psf.oversampling
         self._n_sub = n_sub
         self._taps = np.array([psf.taps(phase / n_sub) for phase in range(n_sub)], np.float32)
@@ -75,11 +72,12 @@ class PathSearch:
         self._scale_x = self._border_scale(shape[1])
         self.grid_shape = (len(self._scale_y), len(self._scale_x))
         self._norm_squared: NDArray | None = None
-        self._values: NDArray | None = None
+        self._table = PathTable(graph, self.grid_shape, n_threads)
 
     def set_mask(self, valid: NDArray | None) -> None:
-        """Tell which pixels (T, H, W) hold data; None when all do."""
+        """Tell which pixels (T, H, W) of a new batch hold data; None when all do."""
         self._norm_squared = None if valid is None else self._norms(valid)
+        self._table.forget()
 
     def scores(self, frames: NDArray) -> NDArray:
         """Return what every position adds to the value of a path, shape (T, Y, X)."""
@@ -92,41 +90,13 @@ class PathSearch:
                     scores[t], frame, NO_MASK if norms is None else norms[t], self._taps,
                     self._scale_y, self._scale_x, self.model.code, len(frames), first, last)
 
-        self._over_rows(fill)
+        self._table.over_rows(fill)
         return scores
 
     def run(self, scores: NDArray) -> NDArray:
         """Fill the table of best path weights; return the best by last start, shape (Y, X)."""
-        graph = self.graph
-        n_y, n_x = self.grid_shape
-        shape = (graph.n_segments, n_y, graph.n_velocities, n_x)
-        if self._values is None:
-            self._values = np.empty(shape, np.float32)
-        values = self._values
-        nothing = np.empty((0, graph.n_velocities, n_x), np.float32)
-        for j in range(graph.n_segments):
-            def extend(first, last, j=j):
-                path_search.forward_segment(
-                    values[j], values[j - 1] if j else nothing, scores, graph.moves,
-                    graph.end_moves[max(j - 1, 0)], graph.knots[j], graph.knots[j + 1],
-                    graph.row_first, graph.row_x, graph.reach, np.float32(graph.turn_cost),
-                    first, last)
-
-            self._over_rows(extend)
-        best = np.empty((n_y, n_x), np.float32)
-        self._over_rows(
-            lambda first, last: path_search.best_by_position(values[-1], best, first, last))
-        return best
-
-    def _over_rows(self, work):
-        """Call work(first row, last row) for all rows of the grid, shared out over threads."""
-        n_y = self.grid_shape[0]
-        if self._n_threads == 1 or n_y < 2 * self._n_threads:
-            work(0, n_y)
-            return
-        bounds = np.linspace(0, n_y, self._n_threads + 1).astype(int)
-        with ThreadPoolExecutor(self._n_threads) as pool:
-            list(pool.map(work, bounds[:-1], bounds[1:]))
+        self._table.fill(scores)
+        return self._table.best
 
     def best_value(self, frames: NDArray) -> float:
         """Return the largest value of any path."""
@@ -150,8 +120,8 @@ class PathSearch:
         limit : int
             Most paths that are traced.
         """
-        best = self.run(self.scores(frames))
-        largest = float(best.max())
+        largest = self._table.update(self.scores(frames), above)
+        best = self._table.best.copy()
         found: list[FoundPath] = []
         radius = max(1, round(separation / self.graph.step_px))
         for _ in range(limit):
@@ -167,8 +137,7 @@ class PathSearch:
 
     def _trace(self, y, x):
         """Follow the best path back from the start (y, x) of its last segment."""
-        graph, values = self.graph, self._values
-        assert values is not None
+        graph, values = self.graph, self._table.values
         velocity = int(np.argmax(values[-1, y, :, x]))
         value = float(values[-1, y, velocity, x])
         grid = np.rint(graph.velocities / graph.velocity_step)
