@@ -1,0 +1,125 @@
+"""The measures that the papers on dynamic programming report.
+
+Fu, Zhang, Luo and Gao, *Dynamic Programming Ring for Point Target Detection*, Appl. Sci. 2022, 12,
+1151 (Eq. 15 and 16), and Guo, Li, Son and Fu, *Parallel Computing Based Dynamic Programming
+Algorithm of Track-before-Detect*, 2018 (Section 4.3). Positions are x, y in pixels (cells); NaN
+where a trajectory or target is absent.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+# A point within this of a target, on either axis, is the target's (Fu et al., Section 4.1).
+SAME_POINT_PX = 1.0
+# A target is detected by a track that ends within this of it, on either axis (Guo et al.).
+SAME_END_CELLS = 2.0
+
+
+@dataclass(frozen=True)
+class PointCounts:
+    """What Eq. 15 and 16 of Fu et al. are made of, in points: one target in one frame.
+
+    Attributes
+    ----------
+    detected, targets : int
+        Points of targets that a trajectory goes through, and all of them.
+    false, pixels : int
+        Points of trajectories that are no target's, and pixels of the sequence.
+    """
+
+    detected: int
+    targets: int
+    false: int
+    pixels: int
+
+    @property
+    def detection_probability(self) -> float:
+        """P_d, Eq. 15."""
+        return self.detected / self.targets
+
+    @property
+    def false_alarm_probability(self) -> float:
+        """P_f, Eq. 16."""
+        return self.false / self.pixels
+
+
+def count_points(found: Sequence[NDArray] | NDArray, targets: Sequence[NDArray] | NDArray,
+                 shape: tuple[int, int, int]) -> PointCounts:
+    """Count detected and false points.
+
+    Parameters
+    ----------
+    found : sequence of array, shape (T, 2)
+        Trajectories.
+    targets : sequence of array, shape (T, 2)
+        Targets.
+    shape : tuple of int
+        (T, H, W) of the frames.
+
+    Returns
+    -------
+    PointCounts
+    """
+    estimates = np.asarray(found, float).reshape(-1, shape[0], 2)
+    truths = np.asarray(targets, float).reshape(-1, shape[0], 2)
+    # A comparison with NaN is false: what is absent is near nothing.
+    near = np.abs(estimates[:, None] - truths[None]).max(axis=3) <= SAME_POINT_PX
+    present = np.isfinite(estimates).all(axis=2)
+    return PointCounts(int(near.any(axis=0).sum()), int(np.isfinite(truths).all(axis=2).sum()),
+                       int((present & ~near.any(axis=1)).sum()), int(np.prod(shape)))
+
+
+@dataclass(frozen=True)
+class TrackErrors:
+    """Which targets were detected and how far their tracks are off.
+
+    Attributes
+    ----------
+    detected : array of bool, shape (M,)
+        Whether a track ends near the target; a track counts for one target at most.
+    squared_errors : array, shape (M,)
+        Mean squared distance, in squared cells, of the track to the cells the target was in; NaN
+        for a target that was not detected.
+    """
+
+    detected: NDArray[np.bool_]
+    squared_errors: NDArray[np.float64]
+
+
+def track_errors(found: Sequence[NDArray] | NDArray, targets: Sequence[NDArray] | NDArray,
+                 ) -> TrackErrors:
+    """Compare tracks with targets at the last stage, and valid tracks over all stages.
+
+    The paper names the two quantities and gives no formula. Read here: near is within two cells
+    on both axes, the nearest ends are paired first to last so that their sum is least, and the
+    error is taken to the target's position rounded to cells ("the discretized trajectory").
+
+    Parameters
+    ----------
+    found, targets : sequence of array, shape (T, 2)
+        Tracks and targets.
+
+    Returns
+    -------
+    TrackErrors
+    """
+    truths = np.asarray(targets, float)
+    detected = np.zeros(len(truths), bool)
+    errors = np.full(len(truths), np.nan)
+    if len(found) and len(truths):
+        estimates = np.asarray(found, float)
+        apart = np.abs(estimates[:, None, -1] - truths[None, :, -1]).max(axis=2)
+        near = apart <= SAME_END_CELLS
+        price = np.where(near, apart, (min(near.shape) + 1) * SAME_END_CELLS)
+        for track, target in zip(*linear_sum_assignment(price), strict=True):
+            if near[track, target]:
+                detected[target] = True
+                off = np.rint(truths[target]) - estimates[track]
+                errors[target] = np.nanmean((off**2).sum(axis=1))
+    return TrackErrors(detected, errors)

@@ -1,0 +1,281 @@
+"""A metric on sets of trajectories: GOSPA over time, with a price on changes of identity.
+
+García-Fernández, Rahmathullah and Svensson, *A metric on the space of finite sets of trajectories
+for evaluation of multi-target tracking algorithms*, IEEE Trans. Signal Process. 68 (2020), in the
+form of a linear programme over soft assignments. Without a price on changes it is the sum over
+frames of GOSPA (Rahmathullah, García-Fernández and Svensson, Fusion 2017) with alpha = 2.
+
+The programme is solved exactly, but rarely as a whole: a pair that is never within the cutoff is
+left out for good, the rest is priced by the duals of the best assignment that never changes, and
+only what could improve on it enters a programme (column generation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.optimize import linear_sum_assignment, linprog
+from scipy.sparse.csgraph import connected_components
+
+from track_before_detect.errors import DataError, ParameterError
+
+# Relative to the gain of one perfect pair in one frame.
+_TOLERANCE = 1e-7
+# Prices that still rise after this many rounds are left to the programme.
+_MOST_ROUNDS = 30
+
+
+@dataclass(frozen=True)
+class TrajectoryGospa:
+    """Distance of two sets of trajectories, and what it is made of.
+
+    Attributes
+    ----------
+    distance : float
+        (localisation + missed + false + switching)^(1/order), in pixels.
+    localisation, missed, false, switching : float
+        Summed over all frames, in pixels to the power of the order: errors of pairs within the
+        cutoff; half the cutoff's power for each frame of a target without one, and for each frame
+        of a trajectory without one; changes of identity.
+    """
+
+    distance: float
+    localisation: float
+    missed: float
+    false: float
+    switching: float
+
+
+def trajectory_gospa(found: Sequence[NDArray] | NDArray, targets: Sequence[NDArray] | NDArray, *,
+                     cutoff_px: float, switch_px: float, order: float = 2.0) -> TrajectoryGospa:
+    """Measure how far trajectories are from the targets.
+
+    Parameters
+    ----------
+    found : sequence of array, shape (T, 2)
+        Positions of each trajectory in pixels; NaN where absent.
+    targets : sequence of array, shape (T, 2)
+        Positions of each target, likewise.
+    cutoff_px : float
+        Distance from which two are no pair (c of the reference), above 0.
+    switch_px : float
+        Price of one change of identity (its gamma), not negative; half of it for a change between
+        a target and none.
+    order : float
+        Its p, at least 1.
+
+    Returns
+    -------
+    TrajectoryGospa
+
+    Raises
+    ------
+    DataError
+        The trajectories do not share one number of frames.
+    """
+    if not cutoff_px > 0 or not switch_px >= 0 or not order >= 1:
+        raise ParameterError(
+            'cutoff_px must be above 0, switch_px at least 0 and order at least 1, got '
+            f'{cutoff_px:g}, {switch_px:g} and {order:g}')
+    estimates, truths = _stacked('found', found), _stacked('targets', targets)
+    if len(estimates) and len(truths) and estimates.shape[1] != truths.shape[1]:
+        raise DataError(
+            f'found and targets must cover the same frames, got {estimates.shape[1]} and '
+            f'{truths.shape[1]}')
+    pairs = _Pairs.of(estimates, truths, cutoff_px, order)
+    weights, changes = _best_weights(pairs, cutoff_px**order, 0.5 * switch_px**order)
+    close = np.where(pairs.gains > 0, weights, 0.0)
+    n_paired = close.sum()
+    localisation = n_paired * cutoff_px**order - float((close * pairs.gains).sum())
+    half = 0.5 * cutoff_px**order
+    parts = (max(localisation, 0.0), half * float(_present(truths).sum() - n_paired),
+             half * float(_present(estimates).sum() - n_paired),
+             0.5 * switch_px**order * changes)
+    return TrajectoryGospa(float(sum(parts)**(1 / order)), *map(float, parts))
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Trajectories and targets that come within the cutoff.
+
+    Attributes
+    ----------
+    ends : array of int, shape (P, 2)
+        Trajectory and target.
+    gains : array, shape (P, T)
+        What pairing the two in a frame takes off the distance; 0 where it takes off nothing.
+    counts : tuple of int
+        Number of trajectories and targets.
+    """
+
+    ends: NDArray[np.int64]
+    gains: NDArray[np.float64]
+    counts: tuple[int, int]
+
+    @classmethod
+    def of(cls, estimates, truths, cutoff, order):
+        ends, gains = [], []
+        boxes = _boxes(truths)
+        for number, (estimate, (low, high)) in enumerate(
+                zip(estimates, _boxes(estimates).transpose(1, 0, 2), strict=True)):
+            inside = (boxes[0] <= high + cutoff) & (boxes[1] >= low - cutoff)
+            candidates = np.flatnonzero(inside.all(axis=1))
+            distances = np.hypot(*(truths[candidates] - estimate).transpose(2, 0, 1))
+            distances[~(distances < cutoff)] = cutoff
+            gain = cutoff**order - distances**order
+            near = (gain > 0).any(axis=1)
+            ends += [(number, target) for target in candidates[near]]
+            gains.append(gain[near])
+        n_frames = estimates.shape[1] if len(estimates) else 0
+        return cls(np.array(ends, np.int64).reshape(-1, 2),
+                   np.concatenate(gains) if gains else np.zeros((0, n_frames)),
+                   (len(estimates), len(truths)))
+
+
+def _stacked(name, trajectories):
+    """Return trajectories as one array (N, T, 2)."""
+    arrays = [np.asarray(one, float) for one in trajectories]
+    if any(one.ndim != 2 or one.shape != (len(arrays[0]), 2) for one in arrays):
+        raise DataError(
+            f'{name} must be trajectories of one shape (T, 2), got '
+            f'{sorted({one.shape for one in arrays})}')
+    return np.array(arrays) if arrays else np.zeros((0, 0, 2))
+
+
+def _boxes(positions):
+    """Return least and largest x and y of trajectories, shape (2, N, 2); empty for absent ones."""
+    return np.array([
+        np.where(np.isfinite(positions), positions, np.inf).min(axis=1, initial=np.inf),
+        np.where(np.isfinite(positions), positions, -np.inf).max(axis=1, initial=-np.inf)])
+
+
+def _present(positions):
+    return np.isfinite(positions).all(axis=2)
+
+
+def _best_weights(pairs, full, half_switch):
+    """Return how much of each pair holds in each frame, (P, T), and the sum of all changes.
+
+    Column generation: ``active`` pairs share programmes with those they compete with; every other
+    pair is priced against the duals of frames and trajectories.
+    """
+    n_pairs, n_frames = pairs.gains.shape
+    weights = np.zeros((n_pairs, n_frames))
+    if not n_pairs:
+        return weights, 0.0
+    lasting = _lasting_pairs(pairs)
+    weights[lasting] = 1.0
+    duals = _first_duals(pairs, lasting)
+    active = np.zeros(n_pairs, bool)
+    while True:
+        prices = pairs.gains - duals[0][pairs.ends[:, 0]] - duals[1][pairs.ends[:, 1]]
+        improving = ~active & ~lasting & (
+            _best_spell(prices, half_switch) > _TOLERANCE * full)
+        if not improving.any():
+            return weights, float(np.abs(np.diff(weights, axis=1)).sum())
+        active |= improving
+        _solve(pairs, _competing(pairs, active, lasting, improving), half_switch, weights, duals)
+
+
+def _lasting_pairs(pairs):
+    """Return a mask of the pairs of the best assignment that never changes."""
+    total = np.zeros(pairs.counts)
+    total[tuple(pairs.ends.T)] = pairs.gains.sum(axis=1)
+    chosen = np.zeros(pairs.counts, bool)
+    chosen[linear_sum_assignment(total, maximize=True)] = True
+    return chosen[tuple(pairs.ends.T)]
+
+
+def _first_duals(pairs, lasting):
+    """Return values of trajectories (N, T) and targets (M, T) whose sum is what is gained.
+
+    In every frame where the lasting pairs are the best assignment, no other pair gains more than
+    its two are worth: prices rise until no rival outbids them, from either side, and the middle of
+    the two is taken.
+    """
+    ends = pairs.ends.T
+    half = [_outbid(pairs, lasting, ends, side) for side in (0, 1)]
+    return [0.5 * (half[0][side] + half[1][1 - side]) for side in (0, 1)]
+
+
+def _outbid(pairs, lasting, ends, side):
+    """Return the least values of the other side, and the most of this one, this one first."""
+    n_frames = pairs.gains.shape[1]
+    own, other = ends[side], ends[1 - side]
+    values = [np.zeros((pairs.counts[side], n_frames)),
+              np.zeros((pairs.counts[1 - side], n_frames))]
+    values[0][own[lasting]] = pairs.gains[lasting]
+    rivals = np.flatnonzero(~lasting)
+    for _ in range(_MOST_ROUNDS):
+        bids = pairs.gains[rivals] - values[0][own[rivals]]
+        raised = values[1].copy()
+        np.maximum.at(raised, other[rivals], bids)
+        # Nobody pays more than it gains; what has no partner has no price.
+        ceiling = np.zeros_like(raised)
+        ceiling[other[lasting]] = pairs.gains[lasting]
+        raised = np.minimum(raised, ceiling)
+        if np.array_equal(raised, values[1]):
+            break
+        values[1] = raised
+        values[0][own[lasting]] = pairs.gains[lasting] - raised[other[lasting]]
+    return values
+
+
+def _best_spell(prices, half_switch):
+    """Return the most that each pair can earn over the frames, shape (P,), at least 0."""
+    off, on = np.zeros(len(prices)), prices[:, 0].copy()
+    for price in prices.T[1:]:
+        off, on = (np.maximum(off, on - half_switch),
+                   price + np.maximum(on, off - half_switch))
+    return np.maximum(off, on)
+
+
+def _competing(pairs, active, lasting, improving):
+    """Return the active and lasting pairs that compete with improving ones, however far off."""
+    members = np.flatnonzero(active | lasting)
+    ends = pairs.ends[members] + [0, pairs.counts[0]]
+    count = sum(pairs.counts)
+    graph = sparse.coo_array((np.ones(len(ends)), tuple(ends.T)), shape=(count, count))
+    labels = connected_components(graph, directed=False)[1][ends[:, 0]]
+    return members[np.isin(labels, labels[improving[members]])]
+
+
+def _solve(pairs, members, half_switch, weights, duals):
+    """Solve the programme of some pairs; updates their weights and the duals of their ends.
+
+    Variables are the weights, pair by pair and frame by frame, then how
+    much each rises and falls between frames.
+    """
+    n_frames = pairs.gains.shape[1]
+    n_weights, n_changes = len(members) * n_frames, len(members) * (n_frames - 1)
+    frames = np.tile(np.arange(n_frames), len(members))
+    blocks, nodes = [], []
+    for side in (0, 1):
+        names, local = np.unique(pairs.ends[members, side], return_inverse=True)
+        rows = np.repeat(local, n_frames) * n_frames + frames
+        blocks.append(sparse.coo_array(
+            (np.ones(n_weights), (rows, np.arange(n_weights))),
+            shape=(len(names) * n_frames, n_weights)))
+        nodes.append(names)
+    capacity = sparse.vstack(blocks)
+    step = sparse.diags_array([-np.ones(n_frames - 1), np.ones(n_frames - 1)], offsets=[0, 1],
+                              shape=(n_frames - 1, n_frames))
+    differences = sparse.kron(sparse.identity(len(members)), step)
+    rises = sparse.identity(n_changes)
+    solution = linprog(
+        np.concatenate([-pairs.gains[members].ravel(), np.full(2 * n_changes, half_switch)]),
+        A_ub=sparse.hstack([capacity, sparse.coo_array((capacity.shape[0], 2 * n_changes))]),
+        b_ub=np.ones(capacity.shape[0]),
+        A_eq=sparse.hstack([differences, -rises, rises]), b_eq=np.zeros(n_changes),
+        bounds=(0, None), method='highs')
+    if not solution.success:
+        raise DataError(f'the trajectories could not be compared: {solution.message}')
+    weights[members] = np.clip(solution.x[:n_weights], 0, 1).reshape(-1, n_frames)
+    values = -solution.ineqlin.marginals
+    split = len(nodes[0]) * n_frames
+    duals[0][nodes[0]] = values[:split].reshape(-1, n_frames)
+    duals[1][nodes[1]] = values[split:].reshape(-1, n_frames)
