@@ -118,7 +118,11 @@ class _Pairs:
 
     @classmethod
     def of(cls, estimates, truths, cutoff, order):
-        ends, gains = [], []
+        ends: list[tuple[int, int]] = []
+        gains: list[NDArray] = []
+        if not len(estimates) or not len(truths):
+            return cls(np.zeros((0, 2), np.int64), np.zeros((0, 0)),
+                       (len(estimates), len(truths)))
         boxes = _boxes(truths)
         for number, (estimate, (low, high)) in enumerate(
                 zip(estimates, _boxes(estimates).transpose(1, 0, 2), strict=True)):
@@ -130,9 +134,8 @@ class _Pairs:
             near = (gain > 0).any(axis=1)
             ends += [(number, target) for target in candidates[near]]
             gains.append(gain[near])
-        n_frames = estimates.shape[1] if len(estimates) else 0
         return cls(np.array(ends, np.int64).reshape(-1, 2),
-                   np.concatenate(gains) if gains else np.zeros((0, n_frames)),
+                   np.concatenate(gains),
                    (len(estimates), len(truths)))
 
 
