@@ -81,3 +81,115 @@ def convex_objective(amplitudes, matched, gram, weights, t):
         value += 0.5 * x @ gram[:, :, k] @ x - matched[:, k] @ x
     return value + t * sum(w * np.linalg.norm(row)
                            for w, row in zip(weights, amplitudes, strict=True))
+
+
+def first_order_merit(frames, v_max):
+    """Return the merit function of Eq. 2 for a first-order method, forward through the frames."""
+    merit = [frames[0].astype(np.float32)]
+    for frame in frames[1:]:
+        merit.append(first_order_step(merit[-1], frame, v_max))
+    return np.array(merit)
+
+
+def first_order_step(before, frame, v_max):
+    """Return the merit function of one frame from that of the frame before."""
+    height, width = frame.shape
+    merit = np.empty((height, width), np.float32)
+    for y, x in np.ndindex(height, width):
+        reached = before[max(0, y - v_max):y + v_max + 1, max(0, x - v_max):x + v_max + 1]
+        merit[y, x] = frame[y, x] + reached.max()
+    return merit
+
+
+def first_order_ring(frames, v_max):
+    """Return the merit function of the ring of a first-order method."""
+    forward = first_order_merit(frames, v_max)
+    backward = np.empty_like(forward)
+    backward[-1] = forward[-1]
+    for t in range(len(frames) - 2, -1, -1):
+        backward[t] = first_order_step(backward[t + 1], frames[t], v_max)
+    forward[0] = backward[0]
+    return (forward + backward) * np.float32(0.5)
+
+
+class SecondOrderTwin:
+    """Merit functions and velocities of a second-order method, one candidate after the other.
+
+    Velocities are in half pixels per frame of the time in which the frames are passed through;
+    None where unknown.
+    """
+
+    def __init__(self, frames, order, lines):
+        self.frames = frames
+        self.order = order
+        self.lines = [tuple(map(tuple, line)) for line in lines.tolist()]
+
+    def step(self, t, before, two_before, starting):
+        """Return merit and velocities of frame t from those of two frames, each a pair."""
+        height, width = self.frames[0].shape
+        merit = np.empty((height, width), np.float32)
+        velocities = np.empty((height, width), object)
+        (t_1, merit_1, velocity_1), (t_2, merit_2, velocity_2) = before, two_before
+        first = self.frames[t_1] if starting else merit_1
+        second = merit_2 if self.order == 'mff' and not starting else self.frames[t_2]
+        for y, x in np.ndindex(height, width):
+            best = (-np.inf if starting else np.float32(0), None, np.float32(0))
+            for velocity, one_back, two_back in self.lines:
+                p_1 = (y - one_back[1], x - one_back[0])
+                p_2 = (y - two_back[1], x - two_back[0])
+                if not all(0 <= row < height and 0 <= column < width
+                           for row, column in (p_1, p_2)):
+                    continue
+                if not starting and not (matches(velocity, velocity_1[p_1])
+                                         and matches(velocity, velocity_2[p_2])):
+                    continue
+                value = first[p_1] + second[p_2]
+                # Of equal candidates of one velocity the larger first merit goes on.
+                if value > best[0]:
+                    best = (value, velocity, first[p_1])
+            value, velocities[y, x], kept = best
+            if self.order == 'mff':
+                merit[y, x] = self.frames[t][y, x] + np.float32(0.5) * value
+            else:
+                merit[y, x] = self.frames[t][y, x] + (value if starting else kept)
+        return t, merit, velocities
+
+    def forward(self):
+        """Return the states of all frames of a plain method."""
+        shape = self.frames[0].shape
+        states = [(t, self.frames[t].astype(np.float32), np.full(shape, None, object))
+                  for t in range(2)]
+        for t in range(2, len(self.frames)):
+            states.append(self.step(t, states[t - 1], states[t - 2], t < 4))
+        return states
+
+    def ring(self):
+        """Return the merit functions of the ring, step by step as Algorithm 1 counts them."""
+        n_frames = len(self.frames)
+        forward = self.forward()
+        backward = [None] * n_frames
+        for t in (n_frames - 1, n_frames - 2):
+            backward[t] = turned(forward[t])
+        for t in range(n_frames - 3, -1, -1):
+            backward[t] = self.step(t, backward[t + 1], backward[t + 2], False)
+        for t in (0, 1):
+            forward[t] = turned(backward[t])
+        for t in range(2, min(4, n_frames)):
+            forward[t] = self.step(t, forward[t - 1], forward[t - 2], False)
+        return np.array([(ahead[1] + back[1]) * np.float32(0.5)
+                         for ahead, back in zip(forward, backward, strict=True)])
+
+
+def turned(state):
+    """Return a state in reversed time (Eq. 7)."""
+    t, merit, velocities = state
+    reversed_velocities = np.empty_like(velocities)
+    for place in np.ndindex(velocities.shape):
+        velocity = velocities[place]
+        reversed_velocities[place] = None if velocity is None else (-velocity[0], -velocity[1])
+    return t, merit, reversed_velocities
+
+
+def matches(velocity, other):
+    """Return whether two velocities in half pixels per frame match (Eq. 4)."""
+    return other is None or max(abs(velocity[0] - other[0]), abs(velocity[1] - other[1])) <= 1

@@ -1,0 +1,88 @@
+"""Merit function of first-order dynamic programming over whole pixels (Fu et al. 2022, Eq. 2).
+
+Layout of every array
+---------------------
+merit, frames : float32 (T, H, W)
+    Merit function and observations.
+
+The largest value of a square of pixels is the largest of its rows of the largest of its columns,
+so a step costs about 2 log2(2 v_max + 1) comparisons a pixel in place of (2 v_max + 1)^2. The
+loops over x are small functions of their own because written into the nest they are not
+vectorised; they take flat arrays with unsigned offsets, which spares a slice for each row.
+"""
+
+import numba
+import numpy as np
+
+ABSENT = np.float32(-1e30)
+
+_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
+_U = np.uint64
+
+
+@numba.njit(**_COMPILE)
+def _largest_of_three(out, o, source, a, b, c, n):
+    for x in range(_U(n)):
+        largest = source[a + x] if source[a + x] > source[b + x] else source[b + x]
+        out[o + x] = largest if largest > source[c + x] else source[c + x]
+
+
+@numba.njit(**_COMPILE)
+def _raise_to_two(out, o, source, a, b, n):
+    for x in range(_U(n)):
+        largest = source[a + x] if source[a + x] > source[b + x] else source[b + x]
+        out[o + x] = out[o + x] if out[o + x] > largest else largest
+
+
+@numba.njit(**_COMPILE)
+def _raise_to_later(row, later, n):
+    for x in range(_U(n)):
+        row[x] = row[x] if row[x] > row[x + later] else row[x + later]
+
+
+@numba.njit(**_COMPILE)
+def _add_larger(out, o, frames, row, later, n):
+    for x in range(_U(n)):
+        largest = row[x] if row[x] > row[x + later] else row[x + later]
+        out[o + x] = frames[o + x] + largest
+
+
+@numba.njit(**_COMPILE)
+def accumulate(merit, frames, start, n_steps, step, v_max, first_row, last_row):
+    """Write merit[t] = frames[t] + max over |v| <= v_max of merit[t - step, p - v].
+
+    For t = start, start + step, ... in ``n_steps`` steps; ``step`` is 1 or -1. Rows
+    ``first_row`` to ``last_row`` of the last of these frames are written, and of the others as
+    many more as they depend on, so that bands of rows can be worked on apart from each other:
+    where two bands write the same number it has the same value.
+    """
+    _, n_y, n_x = merit.shape
+    flat = merit.reshape(merit.size)
+    flat_frames = frames.reshape(frames.size)
+    row = np.full(n_x + 2 * v_max, ABSENT)
+    width = 2 * v_max + 1
+    for k in range(n_steps):
+        t = start + k * step
+        more = v_max * (n_steps - 1 - k)
+        for y in range(max(0, first_row - more), min(n_y, last_row + more)):
+            before = (t - step) * n_y
+            # A row beyond the border counts as the nearest one inside, which is in the window.
+            here = _U((before + y) * n_x)
+            row[:v_max] = ABSENT
+            if v_max == 0:
+                _largest_of_three(row, _U(0), flat, here, here, here, n_x)
+            else:
+                _largest_of_three(
+                    row, _U(v_max), flat, _U((before + max(y - 1, 0)) * n_x), here,
+                    _U((before + min(y + 1, n_y - 1)) * n_x), n_x)
+            for away in range(2, v_max + 1):
+                _raise_to_two(row, _U(v_max), flat, _U((before + max(y - away, 0)) * n_x),
+                              _U((before + min(y + away, n_y - 1)) * n_x), n_x)
+            row[v_max + n_x:] = ABSENT
+            # Each pass doubles the window that row[x] is the largest of.
+            covered = 1
+            while 2 * covered <= width:
+                _raise_to_later(row, _U(covered), n_x + 2 * v_max - covered)
+                covered *= 2
+            _add_larger(flat, _U((t * n_y + y) * n_x), flat_frames, row, _U(width - covered),
+                        n_x)
