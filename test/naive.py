@@ -7,7 +7,7 @@ import numpy as np
 
 def every_path(graph, grid_shape):
     """Yield (positions (T, 2) in grid steps, cost of the turns) of every path of a state graph."""
-    grid = np.rint(graph.velocities / graph.velocity_step).astype(int)
+    grid = graph.grid
     n_y, n_x = grid_shape
     for velocities in itertools.product(range(graph.n_velocities), repeat=graph.n_segments):
         turns = np.abs(np.diff(grid[list(velocities)], axis=0))

@@ -50,11 +50,21 @@ class DetectorOptions:
         'median frame interval.', kind='number', unit='px/s', minimum=0.0, optional=True)
     max_acceleration_px_s2: float | None = _option(
         None, 'Largest acceleration of a target; automatic lets the velocity change by the '
-        'maximum speed within 30 median frame intervals.', kind='number', unit='px/s^2',
-        minimum=0.0, optional=True)
+        'maximum speed within 30 median frame intervals (motion_model range_doppler: by one '
+        'Doppler bin within 10).', kind='number', unit='px/s^2', minimum=0.0, optional=True)
     motion_model: str = _option(
-        'nearly_constant_velocity', 'Which motions are searched.', kind='text',
-        choices=('nearly_constant_velocity', 'constant_velocity', 'static'))
+        'nearly_constant_velocity', 'Which motions are searched; range_doppler takes rows for '
+        'range bins and columns for Doppler bins, which say how fast the range changes.',
+        kind='text', choices=(
+            'nearly_constant_velocity', 'constant_velocity', 'static', 'range_doppler'))
+    range_bins_per_doppler_bin: float | None = _option(
+        None, 'Of motion_model range_doppler, which needs it: by how many range bins a second a '
+        'target moves on for each Doppler bin (metres per second of a Doppler bin over metres of '
+        'a range bin), negative where a higher Doppler bin means approaching.', kind='number',
+        unit='1/s', optional=True)
+    doppler_offset_bins: float = _option(
+        0.0, 'Of motion_model range_doppler: column of zero Doppler less the middle column, which '
+        'is half the number of columns, rounded down.', kind='number', unit='px')
     amplitudes: str = _option(
         'non-negative', 'Sign of a target beside the background.', kind='text',
         choices=('non-negative', 'signed'))

@@ -43,6 +43,17 @@ def test_same_seed_same_recording(name):
     assert (first.frames != other.frames).any()
 
 
+def test_doppler_of_a_target_says_how_fast_its_range_changes():
+    for seed in range(5):
+        made = simulate('range_doppler', seed, fps=2.0)
+        scenario = made.scenario
+        column, row = paths(made)[0].T
+        rate = scenario.range_bins_per_doppler_bin * (column - scenario.width // 2)
+        np.testing.assert_allclose(
+            np.diff(row), 0.5 * (rate[1:] + rate[:-1]) / scenario.fps, atol=1e-9)
+        assert abs(column[-1] - column[0]) <= scenario.doppler_drift_bins
+
+
 @pytest.mark.parametrize('name', SCENARIOS)
 def test_targets_stay_inside_and_within_the_speed(name):
     for seed in range(10):
@@ -58,8 +69,8 @@ def test_targets_stay_inside_and_within_the_speed(name):
         assert (positions <= limit + 1e-9).all()
         speed = np.hypot(*np.diff(positions, axis=1).T)
         assert (speed <= scenario.speed_px_per_frame + 1e-9).all()
-        # The default of max_speed_px_s is one pixel per frame.
-        assert scenario.speed_px_per_frame <= 1.0
+        # The default of max_speed_px_s is one pixel per frame; maps go by their Doppler.
+        assert scenario.speed_px_per_frame <= 1.0 or scenario.motion == 'range_doppler'
 
 
 def test_three_targets_is_what_it_promises():

@@ -42,14 +42,15 @@ def climb(positions, basis, sigma, half, frames, valid, model, most_steps):
     """Maximise the squared statistic by damped Gauss-Newton steps.
 
     positions : float64 (T, 2), moved in place
-    basis : float64 (T, B), C-contiguous; the displacement in x, and that in y, is basis @ c
+    basis : float64 (T, 2, B), C-contiguous; the displacement (x, y) of each frame is basis @ c
     frames, valid : as in the module ``stamps``
 
     model : amplitude model, see the function ``shrink``
 
     Returns the squared statistic reached.
     """
-    n_frames, n_basis = basis.shape
+    n_frames, _, n_basis = basis.shape
+    rows = basis.reshape(2 * n_frames, n_basis)
     limit_x, limit_y = frames.shape[2] - 1.0, frames.shape[1] - 1.0
     seen = np.empty((n_frames, 3))
     trial_seen = np.empty((n_frames, 3))
@@ -57,7 +58,7 @@ def climb(positions, basis, sigma, half, frames, valid, model, most_steps):
     amplitudes = np.empty(n_frames)
     trial_amplitudes = np.empty(n_frames)
     normal = np.empty((n_basis, n_basis))
-    right = np.empty((n_basis, 2))
+    right = np.empty(n_basis)
     _clip(positions, limit_x, limit_y)
     statistic_and_slope(positions, sigma, half, frames, valid, seen)
     value = best_amplitudes(seen, model, amplitudes)
@@ -69,14 +70,18 @@ def climb(positions, basis, sigma, half, frames, valid, model, most_steps):
             # A unit-norm Gaussian loses d^2 / (4 sigma^2) of its statistic at distance d, so half
             # the squared statistic has this curvature; the floor keeps empty frames harmless.
             curvature = (amplitudes[t]**2 + 0.1) / (2.0 * sigma * sigma)
-            for i in range(n_basis):
-                right[i, 0] += basis[t, i] * amplitudes[t] * seen[t, 1]
-                right[i, 1] += basis[t, i] * amplitudes[t] * seen[t, 2]
-                for k in range(n_basis):
-                    normal[i, k] += curvature * basis[t, i] * basis[t, k]
+            for axis in range(2):
+                slope = amplitudes[t] * seen[t, 1 + axis]
+                for i in range(n_basis):
+                    here = basis[t, axis, i]
+                    if here == 0.0:
+                        continue
+                    right[i] += here * slope
+                    for k in range(n_basis):
+                        normal[i, k] += curvature * here * basis[t, axis, k]
         for i in range(n_basis):
             normal[i, i] = normal[i, i] * (1.0 + damping) + 1e-9
-        step = basis @ np.linalg.solve(normal, right)
+        step = (rows @ np.linalg.solve(normal, right)).reshape(n_frames, 2)
         largest = np.abs(step).max()
         if largest > sigma:
             step *= sigma / largest

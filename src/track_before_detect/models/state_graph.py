@@ -15,6 +15,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.models.coupling import RangeDopplerCoupling, whole_steps
+
 # Displacement over one segment between neighbouring velocities, in grid steps. With three, a
 # target between two velocities drifts off its segment by at most three quarters of a step at
 # either end.
@@ -45,6 +47,8 @@ class StateGraph:
         Displacement over each segment.
     turn_cost : float
         What a change of velocity by one step costs a path, in units of its squared statistic.
+    coupling : RangeDopplerCoupling, optional
+        How the column of a target moves its row; all moves are then those in the sheared plane.
     """
 
     step_px: float
@@ -57,6 +61,7 @@ class StateGraph:
     moves: NDArray[np.int32]
     end_moves: NDArray[np.int32]
     turn_cost: float
+    coupling: RangeDopplerCoupling | None = None
 
     @property
     def n_frames(self) -> int:
@@ -73,15 +78,27 @@ class StateGraph:
         """Velocities of the grid."""
         return len(self.velocities)
 
+    @property
+    def grid(self) -> NDArray[np.int64]:
+        """Place of each velocity on the grid of velocities, shape (V, 2)."""
+        lengths = np.diff(self.row_first)
+        rows = np.repeat(np.arange(len(lengths)), lengths)
+        columns = np.arange(self.n_velocities) - self.row_first[rows] + self.row_x[rows]
+        return np.stack([columns, rows], axis=1)
+
     def effective_area(self, shape: tuple[int, int]) -> float:
         """Return the pixels of a frame (H, W) where a straight path can start and stay inside."""
+        if self.coupling is not None:
+            room = shape[0] - self.coupling.travel(shape[1])
+            return float(np.sum(np.maximum(room, 0.5)))
         extent = self.step_px * np.abs(self.end_moves.sum(axis=0))
         room = np.maximum(np.array([shape[1], shape[0]]) - extent, 0.5)
         return float(np.mean(room[:, 0] * room[:, 1]))
 
     def fingerprint(self) -> str:
         """Return a text that differs between graphs with different paths or costs."""
-        digest = hashlib.sha256(repr((self.reach, self.turn_cost, self.step_px)).encode())
+        digest = hashlib.sha256(repr((
+            self.reach, self.turn_cost, self.step_px, self.coupling)).encode())
         for array in (self.knots, self.row_first, self.row_x, self.moves, self.end_moves):
             digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
         return digest.hexdigest()
@@ -134,8 +151,8 @@ def build_state_graph(stamps: NDArray, *, step_px: float, max_speed: float,
     ends = np.append(stamps, stamps[-1] + interval)[knots[1:]]
     for j in range(n_segments):
         elapsed = stamps[knots[j]:knots[j + 1]] - stamps[knots[j]]
-        moves[knots[j]:knots[j + 1]] = _whole(elapsed[:, None, None] * velocities / step_px)
-        end_moves[j] = _whole((ends[j] - stamps[knots[j]]) * velocities / step_px)
+        moves[knots[j]:knots[j + 1]] = whole_steps(elapsed[:, None, None] * velocities / step_px)
+        end_moves[j] = whole_steps((ends[j] - stamps[knots[j]]) * velocities / step_px)
     return StateGraph(step_px, knots, velocities, velocity_step, reach, row_first, row_x,
                       moves, end_moves, float(turn_cost))
 
@@ -150,11 +167,6 @@ def regular_stamps(stamps: NDArray) -> NDArray[np.float64]:
     intervals = np.diff(stamps)
     quarters = np.maximum(np.rint(4 * intervals / np.median(intervals)), 1) / 4
     return np.append(0.0, np.cumsum(quarters))
-
-
-def _whole(values):
-    """Round half away from zero, so that opposite velocities move by opposite steps."""
-    return (np.sign(values) * np.floor(np.abs(values) + 0.5)).astype(np.int32)
 
 
 def _disc(radius):

@@ -85,8 +85,9 @@ class Scenario:
         'exponential power.', choices=('none', 'rayleigh'))
     motion: str = _parameter(
         'lines', 'Straight lines, arcs with a random turn rate, an arc of given radius, two '
-        'targets that cross, or that fly side by side.',
-        choices=('lines', 'turns', 'arc', 'crossing', 'parallel'))
+        'targets that cross, or that fly side by side; range_doppler: rows are range bins, '
+        'through which the column, a Doppler bin, moves the target.',
+        choices=('lines', 'turns', 'arc', 'crossing', 'parallel', 'range_doppler'))
     speed_px_per_frame: float = _parameter(
         1.0, 'Largest speed; lines and turns draw the speed of each target up to it, the other '
         'motions have it.', unit='px/frame', minimum=0.0, maximum=1000.0)
@@ -94,6 +95,13 @@ class Scenario:
         0.0, 'Largest turn rate of turns.', unit='rad/frame', minimum=0.0, maximum=math.pi)
     radius_px: float = _parameter(
         20.0, 'Radius of the arc.', unit='px', above=0.0, maximum=1e6)
+    range_bins_per_doppler_bin: float = _parameter(
+        1.0, 'Range bins a second that a target of motion range_doppler moves by for each column '
+        'right of the middle one (the number of columns halved, rounded down).', unit='1/s',
+        minimum=-1e6, maximum=1e6)
+    doppler_drift_bins: float = _parameter(
+        0.0, 'Largest change of the Doppler of a target over the recording, at a constant rate.',
+        unit='px', minimum=0.0, maximum=1e6)
     separation_px: float = _parameter(
         12.0, 'Least distance of two targets in any frame; the distance of parallel ones; not '
         'used by crossing.', unit='px', minimum=0.0, maximum=1e6)
@@ -137,6 +145,11 @@ SCENARIOS: dict[str, Scenario] = {
     'maneuver': Scenario(
         'One target on an arc.', n_frames=30, snr=4.0, motion='arc',
         speed_px_per_frame=0.9, radius_px=25.0),
+    'range_doppler': Scenario(
+        'Range-Doppler maps of a radar, one dwell a second: rows are range bins, columns Doppler '
+        'bins, and a target moves by up to 8 range bins a dwell as its Doppler says.',
+        height=256, width=64, n_frames=16, fps=1.0, motion='range_doppler',
+        speed_px_per_frame=8.0, range_bins_per_doppler_bin=0.3, doppler_drift_bins=0.5),
     'noise': Scenario('Noise alone.', n_targets=0),
 }
 
@@ -238,6 +251,11 @@ def _place(name, scenario, rng) -> NDArray[np.float64]:
         room_high = high - paths.max(axis=(0, 1))
         if (room_low > room_high).any():
             continue
+        if scenario.motion == 'range_doppler':
+            # Its columns say how fast it moves.
+            if not room_low[0] <= 0 <= room_high[0]:
+                continue
+            room_low[0] = room_high[0] = 0.0
         paths = paths + rng.uniform(room_low, room_high)
         if together:
             return paths
@@ -292,7 +310,23 @@ def _draw_parallel(scenario, rng):
     return np.array([path, path + scenario.separation_px * _direction(heading + np.pi / 2)])
 
 
+def _draw_range_doppler(scenario, rng):
+    seconds = (np.arange(scenario.n_frames) - 0.5 * (scenario.n_frames - 1)) / scenario.fps
+    rows_per_column = scenario.range_bins_per_doppler_bin
+    fastest = scenario.speed_px_per_frame * scenario.fps
+    if rows_per_column == 0:
+        raise ParameterError('range_bins_per_doppler_bin must not be 0 for motion range_doppler')
+    drift = rng.uniform(-0.5, 0.5) * scenario.doppler_drift_bins
+    column_rate = drift / max(seconds[-1], 1e-9)
+    # The speed is largest at one end of the recording, and holds for rows and columns together.
+    room = math.sqrt(max(fastest**2 - column_rate**2, 0.0)) - abs(rows_per_column * drift)
+    column = rng.uniform(-1.0, 1.0) * max(room, 0.0) / rows_per_column
+    rows = rows_per_column * (column * seconds + 0.5 * column_rate * seconds**2)
+    columns = scenario.width // 2 + column + column_rate * seconds
+    return np.stack([columns, rows], axis=1)[None]
+
+
 _MOTIONS: dict[str, Callable[[Scenario, np.random.Generator], NDArray]] = {
     'lines': _draw_line, 'turns': _draw_turn, 'arc': _draw_arc, 'crossing': _draw_crossing,
-    'parallel': _draw_parallel,
+    'parallel': _draw_parallel, 'range_doppler': _draw_range_doppler,
 }

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.range_doppler import build_range_doppler_graph
 from track_before_detect.models.state_graph import (
     build_state_graph,
     regular_stamps,
@@ -31,6 +32,8 @@ from track_before_detect.types import Progress
 
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
 INTERVALS_TO_MAX_SPEED = 30
+# The same over range-Doppler maps: one Doppler bin within this many.
+INTERVALS_TO_NEXT_DOPPLER = 10
 # Memory for the tables of one search, and comparisons made to fill them (some seconds of one
 # core); a wider search is cut down to fit.
 MOST_TABLE_BYTES = 2 * 2**30
@@ -78,6 +81,7 @@ class PathDetector(BatchDetector):
         super().__init__(options)
         self.psf = GaussianPsf(options.psf_sigma_px)
         self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
+        _check_motion(options)
         self._search: tuple[tuple, PathSearch] | None = None
         self._warned = False
 
@@ -89,6 +93,8 @@ class PathDetector(BatchDetector):
         """
         options = self.options
         interval = median_interval(stamps)
+        if options.motion_model == 'range_doppler':
+            return self._range_doppler_graph(stamps, shape)
         speed = options.max_speed_px_s
         if speed is None:
             speed = 1.0 / interval
@@ -127,6 +133,29 @@ class PathDetector(BatchDetector):
             regular_stamps(stamps), step_px=1 / self.psf.oversampling, max_speed=speed,
             max_acceleration=acceleration, turn_cost=self.model.turn_cost)
 
+    def _range_doppler_graph(self, stamps, shape):
+        """Return the paths over range-Doppler maps."""
+        options, interval = self.options, median_interval(stamps)
+        assert options.range_bins_per_doppler_bin is not None
+        rows_per_column = options.range_bins_per_doppler_bin * interval
+        acceleration = options.max_acceleration_px_s2
+        if acceleration is None:
+            acceleration = abs(rows_per_column) / (INTERVALS_TO_NEXT_DOPPLER * interval**2)
+        # Crossing all Doppler bins in one interval is as fast as can be seen.
+        acceleration = min(acceleration, abs(rows_per_column) * shape[1] / interval**2)
+        graph = build_range_doppler_graph(
+            regular_stamps(stamps), step_px=1 / self.psf.oversampling,
+            rows_per_column=float(f'{rows_per_column:.3g}'),
+            still_column=shape[1] // 2 + options.doppler_offset_bins,
+            max_acceleration=float(f'{acceleration * interval**2:.3g}'),
+            turn_cost=self.model.turn_cost)
+        if not self._affordable(graph, shape):
+            raise ParameterError(
+                f'a batch of {len(stamps)} maps of {shape[0]} x {shape[1]} bins is too large to '
+                f'search for accelerations up to {acceleration:.3g} bins/s^2: lower '
+                'max_acceleration_px_s2 or batch_length')
+        return graph
+
     def _affordable(self, graph, shape):
         positions = np.prod([(n - 1) * self.psf.oversampling + 1.0 for n in shape])
         states = graph.n_segments * graph.n_velocities * positions
@@ -147,7 +176,7 @@ class PathDetector(BatchDetector):
             return largest
 
         return NoiseStudy(f'{graph.fingerprint()} {self.psf} {self.model}',
-                          graph.effective_area, searcher)
+                          graph.effective_area, searcher, graph.coupling is not None)
 
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:
@@ -171,9 +200,25 @@ class PathDetector(BatchDetector):
 
     def _path_search(self, graph, shape, mask):
         """Return the search for these paths, with its tables where the last one had them."""
-        key = (shape, graph.reach, graph.moves.tobytes(), graph.end_moves.tobytes())
+        key = (shape, graph.fingerprint())
         if self._search is None or self._search[0] != key:
             self._search = (key, PathSearch(graph, self.psf, shape, self.model, usable_cores()))
         self._search[1].set_mask(mask)
         return self._search[1]
 
+
+def _check_motion(options):
+    """Refuse options that the motion model cannot honour."""
+    if options.motion_model == 'range_doppler':
+        if not options.range_bins_per_doppler_bin:
+            raise ParameterError(
+                'motion_model range_doppler needs range_bins_per_doppler_bin other than 0, got '
+                f'{options.range_bins_per_doppler_bin}')
+        if options.max_speed_px_s is not None:
+            raise ParameterError(
+                'max_speed_px_s must be left out with motion_model range_doppler, whose Doppler '
+                f'bins say how fast a target is, got {options.max_speed_px_s:g}')
+    elif options.range_bins_per_doppler_bin:
+        raise ParameterError(
+            'range_bins_per_doppler_bin needs motion_model range_doppler, got '
+            f'{options.motion_model}')

@@ -21,6 +21,7 @@ from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import StateGraph
 from track_before_detect.solvers.path_table import PathTable
+from track_before_detect.solvers.sheared_plane import ShearedPlane
 
 NO_MASK = np.empty((0, 0), np.float32)
 
@@ -70,7 +71,10 @@ class PathSearch:
         self._taps = np.array([psf.taps(phase / n_sub) for phase in range(n_sub)], np.float32)
         self._scale_y = self._border_scale(shape[0])
         self._scale_x = self._border_scale(shape[1])
-        self.grid_shape = (len(self._scale_y), len(self._scale_x))
+        # Scores are computed on the grid of the frames and searched on grid_shape.
+        self._frame_grid = (len(self._scale_y), len(self._scale_x))
+        self._plane = ShearedPlane(graph, self._frame_grid) if graph.coupling else None
+        self.grid_shape = self._plane.shape if self._plane else self._frame_grid
         self._norm_squared: NDArray | None = None
         self._table = PathTable(graph, self.grid_shape, n_threads)
 
@@ -81,7 +85,7 @@ class PathSearch:
 
     def scores(self, frames: NDArray) -> NDArray:
         """Return what every position adds to the value of a path, shape (T, Y, X)."""
-        scores = np.empty((len(frames), *self.grid_shape), np.float32)
+        scores = np.empty((len(frames), *self._frame_grid), np.float32)
         norms = self._norm_squared
 
         def fill(first, last):
@@ -90,6 +94,9 @@ class PathSearch:
                     scores[t], frame, NO_MASK if norms is None else norms[t], self._taps,
                     self._scale_y, self._scale_x, self.model.code, len(frames), first, last)
 
+        if self._plane:
+            fill(0, self._frame_grid[0])
+            return self._plane.shear(scores)
         self._table.over_rows(fill)
         return scores
 
@@ -140,7 +147,7 @@ class PathSearch:
         graph, values = self.graph, self._table.values
         velocity = int(np.argmax(values[-1, y, :, x]))
         value = float(values[-1, y, velocity, x])
-        grid = np.rint(graph.velocities / graph.velocity_step)
+        grid = graph.grid
         positions = np.empty((graph.n_frames, 2))
         cost = 0.0
         for j in range(graph.n_segments - 1, -1, -1):
@@ -159,6 +166,8 @@ class PathSearch:
             chosen = int(np.argmax(values[j - 1, from_y, near, from_x] - turn))
             cost += float(turn[chosen])
             velocity, x, y = int(near[chosen]), int(from_x[chosen]), int(from_y[chosen])
+        if self._plane:
+            positions = self._plane.restore(positions)
         return FoundPath(positions * graph.step_px, value, cost)
 
     def _border_scale(self, length):
@@ -174,9 +183,9 @@ class PathSearch:
 
     def _norms(self, valid):
         """Squared norm that the mask leaves of the unit-norm PSF, shape (T, Y, X)."""
-        norms = np.empty((len(valid), *self.grid_shape), np.float32)
+        norms = np.empty((len(valid), *self._frame_grid), np.float32)
         for t, frame in enumerate(valid.astype(np.float32)):
             matched_filter.filter_frame(
                 norms[t], frame, self._taps**2, self._scale_y**2, self._scale_x**2, 0,
-                self.grid_shape[0])
+                self._frame_grid[0])
         return norms

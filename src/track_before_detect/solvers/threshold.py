@@ -52,11 +52,14 @@ class NoiseStudy:
     searcher : callable
         Told (H, W), returns a function that draws one batch of noise of that size from the
         generator it is given and returns the largest statistic in it. One is made per thread.
+    whole_width : bool
+        Whether columns differ, so that a narrower batch would not be like the whole.
     """
 
     key: str
     area: Callable[[tuple[int, int]], float]
     searcher: Callable[[tuple[int, int]], Callable[[np.random.Generator], float]]
+    whole_width: bool = False
 
 
 def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,
@@ -74,7 +77,8 @@ def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,
     progress : callable, optional
         Called with a label and the share done, 0 to 1.
     """
-    crop = (min(shape[0], CROP_PX), min(shape[1], CROP_PX))
+    width = shape[1] if study.whole_width else min(shape[1], CROP_PX)
+    crop = (min(shape[0], CROP_PX), width)
     # The square of a statistic has the tail nearest to an exponential.
     maxima = _noise_maxima(study, crop, progress)**2
     areas = study.area(shape) / study.area(crop)

@@ -1,0 +1,140 @@
+"""Over range-Doppler maps the column of a target moves its row, and nothing else does."""
+
+import numpy as np
+import pytest
+
+import naive
+import track_before_detect as tbd
+from track_before_detect.kernels.path_search import ABSENT
+from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
+from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.range_doppler import build_range_doppler_graph
+from track_before_detect.options import DetectorOptions
+from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.solvers import threshold
+from track_before_detect.solvers.convex import ConvexDetector
+from track_before_detect.solvers.path_search import PathSearch
+from track_before_detect.solvers.sheared_plane import ShearedPlane
+
+STAMPS = {
+    'regular': np.arange(6.0),
+    'dropped frame': np.array([0.0, 1, 2, 4, 5, 6]),
+    'single frame': np.zeros(1),
+}
+
+
+def graph_for(stamps, k=0.6, acceleration=0.2, step=0.5, still=4.0):
+    return build_range_doppler_graph(
+        stamps, step_px=step, rows_per_column=k, still_column=still,
+        max_acceleration=acceleration, turn_cost=1.0)
+
+
+@pytest.mark.parametrize('name', STAMPS)
+@pytest.mark.parametrize('k', [0.6, -0.3])
+@pytest.mark.parametrize('acceleration', [0.0, 0.05, 0.4])
+def test_rows_of_every_path_follow_its_columns(name, k, acceleration):
+    stamps = STAMPS[name]
+    graph = graph_for(stamps, k, acceleration)
+    plane = ShearedPlane(graph, (61, 17))
+    # Half a step of the column over the time from the middle, the roundings, and the turns.
+    half_time = np.ptp(stamps) / 2
+    slack = 1.5 + (abs(k) * 0.5 + 1.0) * (half_time + 0.5)
+    checked = 0
+    for positions, _ in naive.every_path(graph, plane.shape):
+        x, y = plane.restore(positions).T * graph.step_px
+        rate = k * (x - 4.0)
+        expected = np.append(0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(stamps)))
+        assert np.abs(y - y[0] - expected).max() < slack * graph.step_px
+        checked += 1
+        if checked > 1500:
+            break
+    assert checked > 1000
+
+
+@pytest.mark.parametrize('acceleration', [0.0, 0.1, 1.0])
+@pytest.mark.parametrize('k', [0.5, -1.0])
+def test_search_finds_the_best_of_all_paths(k, acceleration):
+    stamps = np.arange(4.0)
+    graph = graph_for(stamps, k, acceleration, step=1.0, still=2.0)
+    psf, shape = GaussianPsf(2.0), (7, 5)
+    search = PathSearch(graph, psf, shape, AmplitudeModel(NON_NEGATIVE))
+    frames = np.random.default_rng(3).standard_normal((4, *shape)).astype(np.float32)
+    plain = np.stack([naive.matched_filter(frame, 2.0, psf.half_width, 1) for frame in frames])
+    plain = np.maximum(plain, 0)**2
+    plane = ShearedPlane(graph, shape)
+    best = -np.inf
+    for positions, cost in naive.every_path(graph, plane.shape):
+        x, y = plane.restore(positions).astype(int).T
+        if (y >= 0).all() and (y < shape[0]).all():
+            best = max(best, plain[range(4), y, x].sum() - cost)
+    value, [found, *_] = search.best_paths(frames, 0.0, 1.0, lambda _: True, 1)
+    assert value == pytest.approx(best, rel=1e-4)
+    x, y = found.positions.astype(int).T
+    assert plain[range(4), y, x].sum() - found.cost == pytest.approx(best, rel=1e-4)
+
+
+def test_rows_outside_a_map_cannot_be_visited():
+    graph = graph_for(np.arange(3.0), k=1.0, acceleration=0.0, step=1.0, still=2.0)
+    sheared = ShearedPlane(graph, (4, 5)).shear(np.ones((3, 4, 5), np.float32))
+    assert (sheared[0, :2, 0] == 1).all() and (sheared[0, 2:, 4] == 1).all()
+    assert (sheared[0, 2:, 0] == ABSENT).all() and (sheared[0, :2, 4] == ABSENT).all()
+    np.testing.assert_array_equal(sheared[1], 1)
+
+
+@pytest.mark.parametrize(('k', 'offset', 'interval'), [(0.3, 0, 1.0), (-0.8, 3, 0.5)])
+def test_target_without_noise_is_recovered_between_the_bins(k, offset, interval):
+    stamps = np.delete(interval * np.arange(13.0), 5)
+    column = 20 + offset + 7.3 + 0.02 * (stamps - stamps.mean()) / interval
+    rows = 100.2 + np.append(0, np.cumsum(
+        k * (0.5 * (column[1:] + column[:-1]) - 20 - offset) * np.diff(stamps)))
+    frames = np.stack([30 * naive.gaussian_stamp((180, 40), (x, y), 1.0, 4)
+                       for x, y in zip(column, rows, strict=True)])
+    result = tbd.detect(frames, stamps, motion_model='range_doppler', threshold=8,
+                        range_bins_per_doppler_bin=k, doppler_offset_bins=offset)
+    [trajectory] = result.trajectories
+    np.testing.assert_allclose(trajectory.positions, np.stack([column, rows], 1), atol=0.02)
+
+
+def test_target_that_moves_against_its_doppler_is_not_found():
+    made = simulate('range_doppler', 3, snr=4.0, range_bins_per_doppler_bin=-0.3)
+    options = {'motion_model': 'range_doppler', 'threshold': 8.0}
+    right = tbd.detect(made.frames, made.stamps, range_bins_per_doppler_bin=-0.3, **options)
+    wrong = tbd.detect(made.frames, made.stamps, range_bins_per_doppler_bin=0.3, **options)
+    assert [len(right.trajectories), len(wrong.trajectories)] == [1, 0]
+    truth = made.truth[:, 2:]
+    assert np.hypot(*(right.trajectories[0].positions - truth).T).max() < 1.0
+
+
+def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    monkeypatch.setattr(threshold, 'N_CROPS', 150)
+    n_runs, rate, shape = 300, 0.3, (180, 24)
+    detector = ConvexDetector(DetectorOptions(
+        psf_sigma_px=2.0, motion_model='range_doppler', range_bins_per_doppler_bin=0.5,
+        false_alarm_rate=rate))
+    stamps = np.arange(8.0)
+    bound = detector.threshold(stamps, shape)
+    search = PathSearch(detector.graph(stamps, shape), detector.psf, shape, detector.model)
+    generator = np.random.default_rng(12)
+    found = sum(
+        search.best_value(generator.standard_normal((8, *shape), dtype=np.float32)) > bound**2
+        for _ in range(n_runs))
+    spread = 4 * np.sqrt(n_runs * rate * (1 - rate))
+    assert n_runs * rate / 1.5 - spread < found < n_runs * rate * 1.5 + spread
+
+
+@pytest.mark.parametrize(('options', 'message'), [
+    ({'motion_model': 'range_doppler'}, 'needs range_bins_per_doppler_bin other than 0'),
+    ({'range_bins_per_doppler_bin': 1.0}, 'needs motion_model range_doppler'),
+    ({'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 1.0, 'max_speed_px_s': 2},
+     'max_speed_px_s must be left out'),
+])
+def test_options_that_contradict_each_other_are_refused(options, message):
+    with pytest.raises(tbd.ParameterError, match=message):
+        tbd.detect(np.zeros((4, 16, 16)), threshold=8, **options)
+
+
+def test_search_that_is_too_large_is_refused():
+    with pytest.raises(tbd.ParameterError, match='lower max_acceleration_px_s2'):
+        tbd.detect(np.zeros((16, 16, 4000)), threshold=8, motion_model='range_doppler',
+                   range_bins_per_doppler_bin=1e-5, max_acceleration_px_s2=1e5)
