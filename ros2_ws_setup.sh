@@ -273,7 +273,7 @@ PYTHON
     # setuptools 80 dropped what colcon build --symlink-install calls.
     pip_install 'setuptools>=70.1,<80'
     cd -- "$package_dir"
-    pip_install "${options[@]}" --no-build-isolation --editable '.[readers,plots,cli,test]'
+    pip_install "${options[@]}" --no-build-isolation --editable '.[readers,plots,cli,parallel,test]'
 }
 
 check_installation() {

@@ -70,6 +70,9 @@ _EVALUATE_EXAMPLES = """\
 examples:
   tbd evaluate --list
   tbd evaluate detection --runs 200 --seed 1 --output evaluation
+  tbd evaluate ring-single --runs 20 --output ring --jobs 4
+  on a cluster (joblib's Dask or Ray backend):
+    tbd evaluate ring-single --runs 1000 --output ring --backend dask --scheduler tcp://host:8786
 """
 
 _BENCH_EXAMPLES = """\
@@ -241,7 +244,9 @@ def _add_evaluate(commands):
         '  report.md     the table with 95 % intervals, and the command that made it\n'
         '  SUITE.csv     one row per run\n'
         '  SUITE.png     the picture of the report\n'
-        '  summary.json  the table with settings and machine')
+        '  summary.json  the table with settings and machine\n'
+        '  runs.jsonl    single results: the same command continues from them after an\n'
+        '                interruption, and one with more runs adds to them; may be deleted')
     evaluate.set_defaults(run=_evaluate)
     evaluate.add_argument('suite', metavar='SUITE', help='name of the study; see --list')
     evaluate.add_argument('--runs', metavar='N', type=int, default=100,
@@ -251,6 +256,14 @@ def _add_evaluate(commands):
     evaluate.add_argument('--output', metavar='DIR', default='evaluation',
                           help='folder for the results, made when missing; files of an earlier '
                           'run are replaced (default: evaluation)')
+    evaluate.add_argument('--jobs', metavar='N', type=int,
+                          help='runs at a time (default: one per core with joblib, else one)')
+    evaluate.add_argument('--backend', metavar='NAME', default='loky',
+                          help='backend of joblib that carries out the runs: loky (default), '
+                          'threading, multiprocessing, dask, ray')
+    evaluate.add_argument('--scheduler', metavar='ADDRESS',
+                          help='address of a Dask scheduler or a Ray cluster; without it dask and '
+                          'ray start workers on this machine')
     evaluate.add_argument('--list', action=_ListSuites, help='list the suites')
 
 
@@ -273,21 +286,25 @@ def _add_bench(commands):
 
 
 def _evaluate(arguments):
+    from track_before_detect.evaluation.kept_results import KeptResults
     from track_before_detect.evaluation.report import (
         require_matplotlib,
         table_text,
         write_suite_result,
     )
+    from track_before_detect.evaluation.runner import Runner, Workers
     from track_before_detect.evaluation.suites import suite_named
 
     suite = suite_named(arguments.suite)
     output = Path(arguments.output)
+    workers = Workers(arguments.jobs, arguments.backend, arguments.scheduler)
     _check_folder(output)
     require_matplotlib()
     command = shlex.join(['tbd', 'evaluate', arguments.suite, '--runs', str(arguments.runs),
                           '--seed', str(arguments.seed), '--output', arguments.output])
     with _Progress(sys.stderr) as progress:
-        result = suite.run(arguments.runs, arguments.seed, progress)
+        result = suite.run(arguments.runs, arguments.seed, Runner(
+            progress, workers, KeptResults(output / 'runs.jsonl')))
     written = write_suite_result(output, arguments.suite, result, command)
     print(table_text(result.quantities))
     print(f'written: {", ".join(map(str, written))}')

@@ -20,8 +20,8 @@ def quiet_logging(monkeypatch):
 @pytest.fixture
 def stand_in(monkeypatch):
     """Add a suite that reports what it was given."""
-    def study(runs, seed, progress):
-        progress('studying', 0.0)
+    def study(runs, seed, runner):
+        runner.progress('studying', 0.0)
         if runs == 13:
             raise KeyboardInterrupt
         return SuiteResult('Title', 'What was done.', [{'runs': runs, 'seed': seed}],

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+import hashlib
 
 import numpy as np
 
@@ -24,8 +25,23 @@ def run_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
             for child in sequence.spawn(count)]
 
 
-def announced(seeds: Sequence[int], label: str,
-              progress: Progress) -> Iterator[int]:
+def seeds_of(seed: int, name: str, count: int) -> list[int]:
+    """Return the seeds of the runs of one part of a study.
+
+    Parameters
+    ----------
+    seed : int
+        Of the study.
+    name : str
+        Of the part; parts of different names are independent.
+    count : int
+        Number of runs; a larger number begins with the same seeds.
+    """
+    words = np.frombuffer(hashlib.sha256(name.encode()).digest(), '<u4')
+    return run_seeds(np.random.SeedSequence([seed, *words.tolist()]), count)
+
+
+def announced(seeds: Sequence[int], label: str, progress: Progress) -> Iterator[int]:
     """Yield the seeds and tell the share done before each and at the end."""
     for number, seed in enumerate(seeds):
         progress(label, number / len(seeds))

@@ -10,7 +10,7 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.detection_suite import run_detection
 from track_before_detect.evaluation.patent_suite import run_patent
 from track_before_detect.evaluation.report import SuiteResult
-from track_before_detect.types import Progress
+from track_before_detect.evaluation.runner import Runner
 
 
 @dataclass(frozen=True)
@@ -22,22 +22,22 @@ class Suite:
     description : str
         What it finds out.
     run : callable
-        Told the number of runs, the seed and a progress callable, returns a SuiteResult.
+        Told the number of runs, the seed and a Runner, returns a SuiteResult.
     """
 
     description: str
-    run: Callable[[int, int, Progress], SuiteResult]
+    run: Callable[[int, int, Runner], SuiteResult]
 
 
 SUITES: dict[str, Suite] = {
     'detection': Suite(
         'The convex detector on three targets at SNR 3 (N runs) and on noise alone (2 N runs): '
         'targets found, false trajectories, accuracy, time, realised false alarm rate.',
-        run_detection),
+        lambda runs, seed, runner: run_detection(runs, seed, runner.progress)),
     'patent': Suite(
         'Figures 2-7 of US application 18/790,866 (N scenes each) by the convex method, its '
         'continuation, t = 0 only and greedy: how often each shows what the text describes.',
-        run_patent),
+        lambda runs, seed, runner: run_patent(runs, seed, runner.progress)),
 }
 
 
