@@ -100,15 +100,17 @@ def slow_fill(frames, positions, radius):
         x, y = int(x), int(y)
         for row in range(max(0, y - radius), min(frames.shape[1], y + radius + 1)):
             for column in range(max(0, x - radius), min(frames.shape[2], x + radius + 1)):
-                filled[t, row, column] = np.median(
-                    frames[t, max(0, row - radius):row + radius + 1,
-                           max(0, column - radius):column + radius + 1])
+                if np.isfinite(frames[t, row, column]):
+                    filled[t, row, column] = np.nanmedian(
+                        frames[t, max(0, row - radius):row + radius + 1,
+                               max(0, column - radius):column + radius + 1])
     return filled
 
 
 @pytest.mark.parametrize('radius', [1, 3])
 def test_fill_takes_medians_of_what_was_there_before(radius):
     frames = np.random.default_rng(5).standard_normal((5, 9, 12)).astype(np.float32)
+    frames[3, 3:6, 4:6] = np.nan
     positions = np.array([(0, 0), (11, 8), (np.nan, np.nan), (5, 4), (11, 3)])
     expected = slow_fill(frames, positions, radius)
     fill(frames, positions, radius)
@@ -117,8 +119,11 @@ def test_fill_takes_medians_of_what_was_there_before(radius):
 
 def test_filled_target_is_not_found_again():
     positions = line((10, 20), (0.6, -0.4), 20)
-    rounds = extracted(point_frames(2, [positions], 8), 'mff_dpr', 1, 1)
-    first, second = next(rounds), next(rounds)
+    frames = point_frames(2, [positions], 8)
+    rounds = extracted(frames, 'mff_dpr', 1, np.asarray, 1)
+    (first, seen), (second, _) = next(rounds), next(rounds)
+    x, y = first.positions.astype(int).T
+    np.testing.assert_array_equal(seen, frames[np.arange(20), y, x])
     assert np.nanmax(np.abs(first.positions - positions)) <= 1
     assert not np.any(np.abs(second.positions - positions).max(axis=1) <= 1)
 

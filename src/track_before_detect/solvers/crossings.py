@@ -19,12 +19,12 @@ def regularised(trajectories: Sequence[NDArray]) -> list[NDArray[np.float64]]:
 
     Parameters
     ----------
-    trajectories : sequence of arrays, shape (T, 2)
-        x and y, NaN where absent.
+    trajectories : sequence of arrays, shape (T, K)
+        x, y and whatever else goes with them, NaN where absent.
 
     Returns
     -------
-    list of arrays, shape (T, 2)
+    list of arrays, shape (T, K)
         Of each pair that met, both halves of both trajectories, put together in the one of two
         ways in which straight lines through one half predict the other better (Eq. 14). A pair
         that is not seen in two common frames on either side is left as it is.
@@ -41,7 +41,7 @@ def regularised(trajectories: Sequence[NDArray]) -> list[NDArray[np.float64]]:
 
 def _meeting(one, other):
     """Return the frame in which two trajectories are closest; None where they never meet."""
-    distances = np.linalg.norm(one - other, axis=1)
+    distances = np.linalg.norm(one[:, :2] - other[:, :2], axis=1)
     if np.isnan(distances).all():
         return None
     at = int(np.nanargmin(distances))
@@ -58,8 +58,9 @@ def _swapped_fits_better(one, other, at):
         return False
     kept = swapped = 0.0
     for side in (-1, 1):
-        halves = [positions[at + side * away] for positions in (one, other)]
-        predicted = [_line(away, positions[at - side * away], -away) for positions in (one, other)]
+        halves = [positions[at + side * away, :2] for positions in (one, other)]
+        predicted = [_line(away, positions[at - side * away, :2], -away)
+                     for positions in (one, other)]
         kept += sum(np.sum((halves[i] - predicted[i])**2) for i in (0, 1))
         swapped += sum(np.sum((halves[i] - predicted[1 - i])**2) for i in (0, 1))
     return not kept < swapped

@@ -7,16 +7,17 @@
     found = several_targets(frames, 'mff_dpr', v_max=1, n_targets=3)
     found[0].positions, found[0].score                              # (T, 2), NaN where absent
 
-Both work on *observations*, one value for each pixel and frame that a target raises. The targets
-of the paper are points, one pixel wide, so there the frames are the observations. A target that
-the point spread function spreads over several pixels is seen best in the matched filter statistic,
+Both take *observations*, one value for each pixel and frame that a target raises. The targets of
+the paper are points, one pixel wide, so there the frames are the observations. A target that the
+point spread function spreads over several pixels is seen best in the matched filter statistic,
 which has the noise of one pixel and the whole of the target; sums of raw pixels would leave most
-of it aside. The detectors ``cfo_dp`` to ``mff_dpr`` pass that statistic.
+of it aside. So the detectors ``cfo_dp`` to ``mff_dpr`` accumulate that statistic, and
+:func:`several_targets` does where it is told how to compute it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 import dataclasses
 import itertools
 
@@ -28,6 +29,8 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.solvers.crossings import regularised
 from track_before_detect.solvers.linking import best_trajectory, LinkedTrajectory
 from track_before_detect.solvers.merit_functions import merit_functions
+
+Observe = Callable[[NDArray], NDArray]
 
 
 def single_target(observations: NDArray, method: str, v_max: int,
@@ -50,20 +53,23 @@ def single_target(observations: NDArray, method: str, v_max: int,
     return np.stack([flat % merit.shape[2], flat // merit.shape[2]], axis=1)
 
 
-def several_targets(observations: NDArray, method: str, v_max: int, n_targets: int,
-                    fill_radius: int = 1, n_threads: int = 1) -> list[LinkedTrajectory]:
+def several_targets(frames: NDArray, method: str, v_max: int, n_targets: int, *,
+                    observe: Observe | None = None, fill_radius: int = 1,
+                    n_threads: int = 1) -> list[LinkedTrajectory]:
     """Return the trajectories of a known number of targets (Algorithm 2).
 
     Parameters
     ----------
-    observations : array, shape (T, H, W)
-        Values that a target raises.
+    frames : array, shape (T, H, W)
+        Pixels.
     method : str
         As in :func:`single_target`.
     v_max : int
         Largest velocity in pixels per frame.
     n_targets : int
         Rounds that are made, each with at most one trajectory.
+    observe : callable, optional
+        Returns the observations (T, H, W) of frames; the frames themselves unless given.
     fill_radius : int
         Pixels around a found trajectory that are filled with their median before the next round:
         1 for the point targets of the paper.
@@ -78,62 +84,72 @@ def several_targets(observations: NDArray, method: str, v_max: int, n_targets: i
     """
     if n_targets < 1:
         raise ParameterError(f'n_targets must be at least 1, got {n_targets}')
-    found = list(itertools.islice(
-        extracted(observations, method, v_max, fill_radius, n_threads), n_targets))
-    return with_identities(found)
-
-
-def extracted(observations: NDArray, method: str, v_max: int, fill_radius: int,
-              n_threads: int = 1) -> Iterator[LinkedTrajectory]:
-    """Yield one trajectory after the other (Algorithm 2, Steps 1-4); parameters as above."""
-    left = np.array(observations, np.float32)
-    while True:
-        coordinates = single_target(left, method, v_max, n_threads)
-        trajectory = best_trajectory(coordinates, v_max, left.shape[1:])
-        if trajectory is None:
-            return
-        yield trajectory
-        fill(left, trajectory.positions, fill_radius)
-
-
-def with_identities(found: list[LinkedTrajectory]) -> list[LinkedTrajectory]:
-    """Return trajectories regularised where they cross (Step 5); each keeps its score."""
+    rounds = extracted(frames, method, v_max, observe or np.asarray, fill_radius, n_threads)
+    found = [trajectory for trajectory, _ in itertools.islice(rounds, n_targets)]
     regular = regularised([trajectory.positions for trajectory in found])
     return [dataclasses.replace(trajectory, positions=positions)
             for trajectory, positions in zip(found, regular, strict=True)]
 
 
-def fill(observations: NDArray, positions: NDArray, radius: int) -> None:
-    """Replace the observations around a trajectory by the median around each pixel (Eq. 11).
+def extracted(frames: NDArray, method: str, v_max: int, observe: Observe, fill_radius: int,
+              n_threads: int = 1) -> Iterator[tuple[LinkedTrajectory, NDArray[np.float64]]]:
+    """Go through the rounds of Algorithm 2 (Steps 1-4) for as long as they find anything.
+
+    Parameters as in :func:`several_targets`; masked pixels are NaN.
+
+    Yields
+    ------
+    trajectory : LinkedTrajectory
+        The best of its round.
+    seen : array, shape (T,)
+        The observations at its positions, less what earlier rounds took; NaN where absent.
+    """
+    left = np.array(frames, np.float32)
+    while True:
+        observations = observe(left)
+        coordinates = single_target(observations, method, v_max, n_threads)
+        trajectory = best_trajectory(coordinates, v_max, left.shape[1:])
+        if trajectory is None:
+            return
+        present = np.flatnonzero(np.isfinite(trajectory.positions[:, 0]))
+        x, y = trajectory.positions[present].astype(int).T
+        seen = np.full(len(left), np.nan)
+        seen[present] = observations[present, y, x]
+        yield trajectory, seen
+        fill(left, trajectory.positions, fill_radius)
+
+
+def fill(frames: NDArray, positions: NDArray, radius: int) -> None:
+    """Replace the pixels around a trajectory by the median around each of them (Eq. 11).
 
     Parameters
     ----------
-    observations : float array, shape (T, H, W)
-        Changed in place.
+    frames : float array, shape (T, H, W)
+        Changed in place; NaN where masked.
     positions : array, shape (T, 2)
         x and y in whole pixels; NaN where absent.
     radius : int
         Half a side, less half a pixel, both of the square that is filled and of the squares that
         medians are taken over, as far as these are inside the frame. It is 1 in the paper; a
-        target that is seen more widely needs more, or its rim is found as another target.
+        target that covers more pixels needs more, or its rim is found as another target.
     """
-    n_frames, height, width = observations.shape
+    _, height, width = frames.shape
     present = np.flatnonzero(np.isfinite(positions[:, 0]))
     centre_x, centre_y = positions[present].astype(int).T
     reach = np.arange(-2 * radius, 2 * radius + 1)
     rows = centre_y[:, None, None] + reach[:, None]
     columns = centre_x[:, None, None] + reach
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    patches = observations[present[:, None, None], rows.clip(0, height - 1),
-                           columns.clip(0, width - 1)]
+    patches = np.where(inside, frames[present[:, None, None], rows.clip(0, height - 1),
+                                      columns.clip(0, width - 1)], np.nan)
     side = 2 * radius + 1
-    windows = sliding_window_view(np.where(inside, patches, np.nan), (side, side), (1, 2))
-    # Places outside the frame are sorted to the end.
+    windows = sliding_window_view(patches, (side, side), (1, 2))
+    # What is masked or outside the frame is sorted to the end.
     ordered = np.sort(windows.reshape(len(present), side, side, side * side), axis=3)
     count = np.isfinite(ordered).sum(axis=3, keepdims=True)
     low, high = (np.take_along_axis(ordered, middle.clip(0), axis=3)[..., 0]
                  for middle in ((count - 1) // 2, count // 2))
     filled = slice(radius, radius + side)
-    t, i, j = np.nonzero(inside[:, filled, filled])
-    observations[present[t], rows[t, i + radius, 0], columns[t, 0, j + radius]] = (
+    t, i, j = np.nonzero(np.isfinite(patches[:, filled, filled]))
+    frames[present[t], rows[t, i + radius, 0], columns[t, 0, j + radius]] = (
         (low + high)[t, i, j] / 2)

@@ -12,6 +12,8 @@ from track_before_detect.preprocess.chain import prepare, PreparedBatch
 from track_before_detect.solvers.batch_detector import BatchDetector, FoundTrajectory
 from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
+from track_before_detect.solvers.merit_detector import MeritDetector
+from track_before_detect.solvers.merit_functions import METHODS
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
@@ -23,6 +25,7 @@ MOST_SPREAD = 3.0
 DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
     'convex': ConvexDetector,
     'greedy': GreedyDetector,
+    **dict.fromkeys(METHODS, MeritDetector),
 }
 
 
@@ -155,13 +158,13 @@ def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch) -> Traj
     positions = found.positions + prepared.offsets
     n_frames, height, width = prepared.frames.shape
     level = np.broadcast_to(prepared.noise_level, (n_frames, height, width))
-    x = np.clip(np.rint(found.positions[:, 0]).astype(int), 0, width - 1)
-    y = np.clip(np.rint(found.positions[:, 1]).astype(int), 0, height - 1)
+    present = np.isfinite(found.positions[:, 0])
+    x, y = np.rint(np.where(present[:, None], found.positions, 0)).astype(int).T
+    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
     amplitudes = found.amplitudes * np.nan_to_num(level[np.arange(n_frames), y, x], nan=0.0)
-    if n_frames > 1:
-        velocity = np.gradient(positions, prepared.stamps, axis=0)
-    else:
-        velocity = np.zeros_like(positions)
+    velocity = np.where(present[:, None], np.zeros(2), np.nan)
+    if present.sum() > 1:
+        velocity[present] = np.gradient(positions[present], prepared.stamps[present], axis=0)
     # A path on the registered plane may leave the view of a frame; it is absent from that frame.
     outside = np.any((positions < -0.5) | (positions > [width - 0.5, height - 0.5]), axis=1)
     positions[outside] = np.nan
