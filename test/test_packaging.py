@@ -32,7 +32,7 @@ ALLOWED = {
     'recordings': BASICS,
     'simulation': BASICS | {'models'},
     'detection': BASICS | {'preprocess', 'solvers', 'tracking'},
-    'evaluation': BASICS | {'__init__', 'models', 'recordings', 'simulation', 'solvers',
+    'evaluation': BASICS | {'__init__', 'kernels', 'models', 'recordings', 'simulation', 'solvers',
                             'tracking'},
     'cli': BASICS | {'__init__', 'detection', 'evaluation', 'recordings', 'simulation',
                      'tracking'},

@@ -12,6 +12,7 @@ import tempfile
 from typing import Any
 
 from track_before_detect.errors import MissingExtraError
+from track_before_detect.evaluation.confidence import wilson_interval
 from track_before_detect.evaluation.machine import describe_machine, machine_line
 from track_before_detect.recordings.writers import write_summary_json
 
@@ -48,6 +49,23 @@ class Quantity:
     note: str = ''
 
 
+def share(name: str, count: int, trials: int, per: str, note: str = '') -> Quantity:
+    """Return a share with its Wilson interval.
+
+    Parameters
+    ----------
+    name : str
+        What was counted.
+    count, trials : int
+        How many of how many.
+    per : str
+        What was counted in ``trials``.
+    note : str
+        What to compare it with.
+    """
+    return Quantity(name, count / trials, *wilson_interval(count, trials), trials, per, '%', note)
+
+
 @dataclass(frozen=True)
 class SuiteResult:
     """What a suite found out.
@@ -68,6 +86,8 @@ class SuiteResult:
         Draws the picture into a matplotlib figure.
     pictures : mapping
         Further pictures: what the name of the file ends in, and what draws it.
+    details : str
+        More of the report, in Markdown, after the pictures.
     """
 
     title: str
@@ -77,6 +97,7 @@ class SuiteResult:
     settings: Mapping[str, Any]
     draw: Callable[[Any], None]
     pictures: Mapping[str, Callable[[Any], None]] = field(default_factory=dict)
+    details: str = ''
 
 
 def require_matplotlib() -> None:
@@ -176,6 +197,7 @@ def _report(name, result, command):
         *('| ' + ' | '.join(_cells(quantity)) + ' |' for quantity in result.quantities), '',
         *(line for stem in _pictures(name, result)
           for line in (f'![{result.title}]({stem}.png)', '')),
+        *([result.details, ''] if result.details else []),
         f'Made with `{command}` on {machine_line()}.', '',
     ]
     return '\n'.join(lines)

@@ -8,6 +8,7 @@ import difflib
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.detection_suite import run_detection
+from track_before_detect.evaluation.limit_suites import run_accuracy, run_dim, run_false_alarms
 from track_before_detect.evaluation.patent_suite import run_patent
 from track_before_detect.evaluation.report import SuiteResult
 from track_before_detect.evaluation.runner import Runner
@@ -38,6 +39,16 @@ SUITES: dict[str, Suite] = {
         'Figures 2-7 of US application 18/790,866 (N scenes each) by the convex method, its '
         'continuation, t = 0 only and greedy: how often each shows what the text describes.',
         lambda runs, seed, runner: run_patent(runs, seed, runner.progress)),
+    'dim': Suite(
+        'Dim targets on lines and arcs (N each), SNR 1.5 and 2, by the convex detector and by an '
+        'exhaustive search over straight lines with the same statistic at the same false alarms.',
+        run_dim),
+    'accuracy': Suite(
+        'Isolated targets at SNR 5 to 50 (N each): position error over the Cramér-Rao bound, '
+        'amplitude, second trajectories.', run_accuracy),
+    'false-alarms': Suite(
+        'Batches of noise of 64, 128 and 256 px (20 N, 8 N and 2 N): how many hold a trajectory '
+        'beside the rate that was asked for.', run_false_alarms),
 }
 
 
