@@ -89,8 +89,9 @@ class DetectorOptions:
         None, 'Frames from the start of one batch to the next; automatic is half a batch.',
         kind='integer', unit='frames', minimum=1, optional=True)
     registration: str = _option(
-        'none', 'How frames are aligned before the search.', kind='text',
-        choices=('none', 'translation'))
+        'none', 'How frames are aligned before the search: by a shift, or also by a turn and a '
+        'zoom (affine) and a slope of the scene (homography).', kind='text',
+        choices=('none', 'translation', 'affine', 'homography'))
     background: str = _option(
         'none', 'How the background is removed.', kind='text',
         choices=('none', 'temporal_median', 'spatial_median', 'temporal_spatial_median'))

@@ -5,6 +5,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from track_before_detect import geometry
 from track_before_detect.preprocess.background import (
     remove_spatial_median,
     remove_temporal_median,
@@ -42,7 +43,7 @@ def test_a_still_scene_seen_at_fractions_of_a_pixel_goes_and_a_target_stays():
     frames = np.array([scene(x - fx, y - fy) + 7 * t for t, (fx, fy) in enumerate(fractions)])
     for t in range(15):
         frames[t, 30, 10 + 3 * t] += 100.0
-    residual = remove_temporal_median(frames, fractions)[:, 4:-4, 4:-4]
+    residual = remove_temporal_median(frames, geometry.translations(fractions))[:, 4:-4, 4:-4]
     for t in range(15):
         assert residual[t, 26, 6 + 3 * t] == pytest.approx(100.0, abs=2.0)
         residual[t, 26, 6 + 3 * t] = 0
@@ -52,7 +53,8 @@ def test_a_still_scene_seen_at_fractions_of_a_pixel_goes_and_a_target_stays():
 def test_noise_of_the_frames_stays_white():
     rng = np.random.default_rng(1)
     frames = rng.normal(size=(20, 64, 64))
-    residual = remove_temporal_median(frames, rng.uniform(-0.5, 0.5, (20, 2)))[:, 4:-4, 4:-4]
+    maps = geometry.translations(rng.uniform(-0.5, 0.5, (20, 2)))
+    residual = remove_temporal_median(frames, maps)[:, 4:-4, 4:-4]
     neighbours = np.mean(residual[:, :, 1:] * residual[:, :, :-1])
     assert residual.std() == pytest.approx(1.0, abs=0.04)
     assert abs(neighbours) < 0.03

@@ -8,13 +8,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
+from scipy import ndimage
 
+from track_before_detect import geometry
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.chain import prepare
 from track_before_detect.types import FrameBatch
 
-REGISTRATIONS = ('none', 'translation')
+REGISTRATIONS = ('none', 'translation', 'affine', 'homography')
 BACKGROUNDS = ('none', 'temporal_median', 'spatial_median', 'temporal_spatial_median')
 NOISES = ('none', 'robust', 'map')
 
@@ -30,7 +32,7 @@ def test_nothing_asked_for_passes_the_frames_on():
     np.testing.assert_array_equal(prepared.frames, frames.astype(np.float32))
     assert prepared.frames.dtype == np.float32
     assert prepared.noise_level.shape == (1, 1, 1) and prepared.noise_level.item() == 1
-    assert not prepared.offsets.any() and not prepared.fractions.any()
+    np.testing.assert_array_equal(prepared.maps, np.tile(np.eye(3), (4, 1, 1)))
     np.testing.assert_array_equal(prepared.frame_indices, np.arange(4) + 100)
 
 
@@ -50,7 +52,6 @@ def test_every_combination_leaves_its_input_and_keeps_its_shape(steps, dtype, n_
     np.testing.assert_array_equal(frames, before)
     assert prepared.frames.shape == frames.shape
     assert not np.isinf(prepared.frames).any()
-    assert np.all(np.abs(prepared.fractions) <= 0.5)
     np.broadcast_to(prepared.noise_level, frames.shape)
     assert np.isnan(prepared.frames[~np.isfinite(frames)]).all() or registration != 'none'
 
@@ -81,10 +82,47 @@ def test_a_target_is_found_back_at_its_original_position():
         frames[t, y, x] += 60
     prepared = prepare(batch_of(frames), DetectorOptions(
         registration='translation', background='temporal_median', noise='robust'))
-    np.testing.assert_allclose(prepared.offsets[:, 0], 8 - 2 * np.arange(9))
+    np.testing.assert_allclose(prepared.maps[:, 0, 2], 8 - 2 * np.arange(9))
     for t, (x, y) in enumerate(positions):
         row, column = np.unravel_index(np.nanargmax(prepared.frames[t]), frames[t].shape)
-        np.testing.assert_allclose((column, row) + prepared.offsets[t], (x, y))
+        seen = geometry.apply(prepared.maps[t], np.array([column, row]))
+        np.testing.assert_allclose(seen, (x, y))
+
+
+def camera(n_frames, shape):
+    """Return the maps of a camera that turns 0.7 degrees and zooms by 1 % each frame."""
+    middle = np.array([[1, 0, -0.5 * shape[1]], [0, 1, -0.5 * shape[0]], [0, 0, 1]])
+    maps = []
+    for t in np.arange(n_frames) - n_frames // 2:
+        turn, zoom = np.deg2rad(0.7 * t), 1.01**t
+        maps.append(np.linalg.inv(middle) @ np.array([
+            [zoom * np.cos(turn), -zoom * np.sin(turn), 0.4 * t],
+            [zoom * np.sin(turn), zoom * np.cos(turn), 0], [0, 0, 1]]) @ middle)
+    return np.array(maps)
+
+
+@pytest.mark.parametrize('noise', ['robust', 'map'])
+def test_the_scene_seen_by_a_turning_camera_goes_and_the_matched_filter_has_unit_noise(noise):
+    rng = np.random.default_rng(7)
+    shape = (120, 140)
+    maps = camera(11, shape)
+    scene = ndimage.gaussian_filter(rng.normal(size=(220, 240)), 2.0)
+    scene *= 30 / scene.std()
+    y, x = np.mgrid[:shape[0], :shape[1]]
+    frames = []
+    for back in geometry.inverse(maps):
+        at = geometry.apply(back, np.stack([x, y], axis=-1)) + 50
+        frames.append(ndimage.map_coordinates(scene, [at[..., 1], at[..., 0]], order=3))
+    frames = np.array(frames) + rng.normal(0, 2, (11, *shape))
+    prepared = prepare(batch_of(frames), DetectorOptions(
+        registration='affine', background='temporal_median', noise=noise))
+    profile = np.exp(-0.5 * np.arange(-4, 5)**2)
+    profile /= np.linalg.norm(profile)
+    seen = prepared.frames
+    for axis in (1, 2):
+        seen = ndimage.convolve1d(seen, profile, axis=axis)
+    assert np.nanstd(seen) == pytest.approx(1.0, abs=0.05)
+    assert np.nanmedian(prepared.noise_level) == pytest.approx(2.0, rel=0.12)
 
 
 def test_quantised_dark_frames_do_not_explode():
@@ -172,4 +210,5 @@ def test_the_real_drone_is_the_brightest_thing_after_preparation():
         registration='translation', background='temporal_spatial_median', noise='robust'))
     for t in range(20):
         row, column = np.unravel_index(np.nanargmax(prepared.frames[t]), frames[t].shape)
-        assert np.hypot(*((column, row) + prepared.offsets[t] - truth[t])) < 3.0
+        seen = geometry.apply(prepared.maps[t], np.array([column, row]))
+        assert np.hypot(*(seen - truth[t])) < 3.0

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from track_before_detect.preprocess.registration import shift_fraction
+from track_before_detect import geometry
+from track_before_detect.preprocess.resampling import warped
 
 _LEAST_SHARE = 1 / 3  # of the frames must show a pixel, or nothing is known about it
 
@@ -47,34 +48,35 @@ def _sorted_median(values, least_share=0.0):
     return median
 
 
-def remove_temporal_median(frames: NDArray, fractions: NDArray) -> NDArray:
+def remove_temporal_median(frames: NDArray, maps: NDArray) -> NDArray:
     """Take the background off registered frames.
 
-    The frames keep their own grid, so that their noise stays white: they are moved by fractions
-    of a pixel only to find the background, which is then moved back to each of them. The level
-    of each frame is taken off as well; the gain of a camera drifts.
+    The frames keep their own grid, so that their noise stays white: they are moved onto the
+    registered plane only to find the background, which is then moved back to each of them. The
+    level of each frame is taken off as well; the gain of a camera drifts.
 
     Parameters
     ----------
     frames : array, shape (T, H, W)
-        Real frames moved onto the registered plane by whole pixels, NaN where masked.
-    fractions : array, shape (T, 2)
-        What is left of the offset x, y of each, in pixels.
+        Real frames, NaN where masked.
+    maps : array, shape (T, 3, 3)
+        Takes the registered plane to each frame.
 
     Returns
     -------
     array, shape (T, H, W)
         Frames without background, NaN where masked or where the background is not known.
     """
-    aligned = np.stack([shift_fraction(frame, fraction)
-                        for frame, fraction in zip(frames, fractions, strict=True)])
+    aligned = np.stack([warped(frame, matrix)
+                        for frame, matrix in zip(frames, maps, strict=True)])
     reference = aligned[len(aligned) // 2]
     for frame in aligned:
         frame -= _level(frame - reference)
     background = temporal_median(aligned)
     residual = np.empty_like(frames)
+    back = geometry.inverse(maps)
     for index, frame in enumerate(frames):
-        residual[index] = frame - shift_fraction(background, -fractions[index])
+        residual[index] = frame - warped(background, back[index])
         residual[index] -= _level(residual[index])
     return residual
 

@@ -8,6 +8,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect import geometry
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.background import (
@@ -18,8 +19,10 @@ from track_before_detect.preprocess.noise import (
     correlation_factor,
     frame_level,
     pixel_level,
+    robust_deviation,
 )
-from track_before_detect.preprocess.registration import register_translation, shift_whole
+from track_before_detect.preprocess.registration import register
+from track_before_detect.preprocess.resampling import shift_whole, warped
 from track_before_detect.types import FrameBatch
 
 _QUANTISED_FLOOR = 0.3  # of a grey level: rounding alone adds 1/sqrt(12)
@@ -44,21 +47,19 @@ class PreparedBatch:
         Seconds.
     frame_indices : array of int, shape (T,)
         Number of each frame in the recording.
-    noise_level : array, shape (T, 1, 1), (1, H, W) or (1, 1, 1)
-        Multiply by it to return to the units of the input; NaN where masked.
-    offsets : array, shape (T, 2)
-        Original position = registered position + ``offsets[t]``, x and y in whole pixels.
-    fractions : array, shape (T, 2)
-        What rounding left of the offset of the scene, at most half a pixel: a target that stands
-        still in the scene is seen ``fractions[t]`` away from where it is on average.
+    noise_level : array, shape (T, 1, 1), (1, H, W), (T, H, W) or (1, 1, 1)
+        Standard deviation of the noise in the units of the input, at the pixels of the frames as
+        they came; NaN where masked.
+    maps : array, shape (T, 3, 3)
+        Takes the registered plane to the pixels of each frame as it came, see the module
+        ``geometry``.
     """
 
     frames: NDArray
     stamps: NDArray[np.float64]
     frame_indices: NDArray[np.int64]
     noise_level: NDArray[np.float64]
-    offsets: NDArray[np.float64]
-    fractions: NDArray[np.float64]
+    maps: NDArray[np.float64]
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -66,6 +67,12 @@ class PreparedBatch:
 
 def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
     """Register frames, take off the background and scale the noise to one, each if asked for.
+
+    All but the last step leaves every frame on its own grid, with its noise white. The last moves
+    the frames onto the registered plane: after a translation by whole pixels; after any other map
+    by interpolation, which correlates the noise of neighbouring pixels and takes as much of it as
+    of a small target. The matched filter of a target with a ``psf_sigma_px`` of 1 or more notices
+    less than 2 %; for sharper ones its noise comes out up to 15 % below one, on the safe side.
 
     Parameters
     ----------
@@ -98,31 +105,16 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
             raise DataError(
                 f'{name}={value} needs at least {_LEAST_FRAMES} frames, got {n_frames}')
 
-    offsets = np.zeros((n_frames, 2))
-    if options.registration == 'translation':
-        registration = register_translation(frames)
-        offsets = registration.offsets
-        doubtful = np.flatnonzero(~registration.credible)
-        if doubtful.size:
-            _logger.warning(
-                'registration found no shift for %d of %d frames (the first is %d); theirs is '
-                'taken from the frames around', doubtful.size, n_frames,
-                batch.frame_indices[doubtful[0]])
-    whole = np.rint(offsets) + 0.0  # no negative zero
-    fractions = offsets - whole
-    if whole.any():
-        frames = np.stack([shift_whole(frame, offset)
-                           for frame, offset in zip(frames, whole, strict=True)])
-
+    maps = _maps(frames, batch, options.registration)
     # a complex pixel is two real ones with half the variance each
     is_complex = np.iscomplexobj(frames)
     parts = frames.view(np.float32) if is_complex else frames
     if options.background in ('temporal_median', 'temporal_spatial_median'):
-        parts = remove_temporal_median(parts, fractions)
+        parts = remove_temporal_median(parts, maps)
     if options.background in ('spatial_median', 'temporal_spatial_median'):
         parts = remove_spatial_median(parts, _mesh_px(options.psf_sigma_px))
     floor = _QUANTISED_FLOOR if np.issubdtype(raw.dtype, np.integer) else 0.0
-    level = _noise_level(parts, options.noise, floor)
+    level = _noise_level(parts, maps, options.noise, floor)
     if is_complex:
         frames = parts.view(np.complex64)
         level = level * np.sqrt(2.0)
@@ -137,9 +129,40 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
         if not is_complex:
             factor = correlation_factor(frames, options.psf_sigma_px)
             frames, level = frames / np.float32(factor), level * factor
-    return PreparedBatch(
-        frames, np.array(batch.stamps, dtype=np.float64), np.array(batch.frame_indices),
-        level, whole, fractions)
+    if options.registration == 'translation':
+        maps = geometry.translations(np.rint(maps[:, :2, 2]) + 0.0)  # no negative zero
+    if options.registration != 'none':
+        frames = _on_plane(frames, maps, options.registration)
+    return PreparedBatch(frames, np.array(batch.stamps, dtype=np.float64),
+                         np.array(batch.frame_indices), level, maps)
+
+
+def _maps(frames, batch, model):
+    """Return the map from the registered plane to each frame, and say what is doubtful."""
+    if model == 'none':
+        return geometry.translations(np.zeros((len(frames), 2)))
+    registration = register(frames, model)
+    doubtful = np.flatnonzero(~registration.credible)
+    if doubtful.size:
+        _logger.warning(
+            'registration found no shift for %d of %d frames (the first is %d); theirs is '
+            'taken from the frames around', doubtful.size, len(frames),
+            batch.frame_indices[doubtful[0]])
+    shifted = np.flatnonzero(registration.credible & ~registration.refined)
+    if shifted.size:
+        _logger.warning(
+            'registration=%s found no more than a shift for %d of %d frames (the first is %d)',
+            model, shifted.size, len(frames), batch.frame_indices[shifted[0]])
+    return registration.maps
+
+
+def _on_plane(frames, maps, model):
+    """Return the frames moved onto the registered plane, NaN where it is not seen."""
+    if model == 'translation':
+        offsets = np.rint(maps[:, :2, 2]).astype(int)
+        return np.stack([shift_whole(frame, offset)
+                         for frame, offset in zip(frames, offsets, strict=True)])
+    return np.stack([warped(frame, matrix) for frame, matrix in zip(frames, maps, strict=True)])
 
 
 def _checked_frames(raw, batch):
@@ -168,12 +191,28 @@ def _mesh_px(psf_sigma_px):
     return max(_LEAST_MESH_PX, round(_MESH_SIGMAS * psf_sigma_px))
 
 
-def _noise_level(parts, method, floor):
+def _noise_level(parts, maps, method, floor):
     """Return the level that broadcasts to ``parts``, NaN where nothing is known."""
     if method == 'none':
         return np.ones((1, 1, 1))
-    level = pixel_level(parts, floor) if method == 'map' else frame_level(parts, floor)
+    if method == 'robust':
+        level = frame_level(parts, floor)
+    elif np.array_equal(maps, np.broadcast_to(np.eye(3), maps.shape)):
+        level = pixel_level(parts, floor)
+    else:
+        level = _scene_level(parts, maps, floor)
     if not np.any(level > 0):
         raise DataError(
             f'the noise level of the frames is 0, which noise={method} cannot scale to 1')
     return np.where(level > 0, level, np.nan)
+
+
+def _scene_level(parts, maps, floor):
+    """Return the level of each place of the scene at the pixels of each frame, (T, H, W)."""
+    on_plane = np.stack([warped(frame, matrix)
+                         for frame, matrix in zip(parts, maps, strict=True)])
+    level = pixel_level(on_plane, floor)[0].astype(np.float32)
+    level = np.stack([warped(level, matrix) for matrix in geometry.inverse(maps)])
+    # interpolation took part of the noise, and may dip below zero beside a step
+    scale = robust_deviation(parts / np.maximum(level, np.float32(1e-6)))
+    return np.maximum(level * (scale or 1.0), floor)

@@ -6,6 +6,7 @@ import logging
 
 import numpy as np
 
+from track_before_detect import geometry
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.chain import prepare, PreparedBatch
@@ -155,18 +156,19 @@ def _check(batch):
 
 def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch) -> Trajectory:
     """Return a trajectory in the pixels and units of the frames as they came."""
-    positions = found.positions + prepared.offsets
+    positions = geometry.apply(prepared.maps, found.positions)
     n_frames, height, width = prepared.frames.shape
     level = np.broadcast_to(prepared.noise_level, (n_frames, height, width))
-    present = np.isfinite(found.positions[:, 0])
-    x, y = np.rint(np.where(present[:, None], found.positions, 0)).astype(int).T
-    x, y = np.clip(x, 0, width - 1), np.clip(y, 0, height - 1)
+    present = np.isfinite(positions[:, 0])
+    nearest = np.rint(np.where(present[:, None], positions, 0.0))
+    x, y = np.clip(nearest, 0, (width - 1, height - 1)).astype(int).T
     amplitudes = found.amplitudes * np.nan_to_num(level[np.arange(n_frames), y, x], nan=0.0)
     velocity = np.where(present[:, None], np.zeros(2), np.nan)
     if present.sum() > 1:
         velocity[present] = np.gradient(positions[present], prepared.stamps[present], axis=0)
     # A path on the registered plane may leave the view of a frame; it is absent from that frame.
-    outside = np.any((positions < -0.5) | (positions > [width - 0.5, height - 0.5]), axis=1)
+    inside = (positions >= -0.5) & (positions <= [width - 0.5, height - 0.5])
+    outside = ~inside.all(axis=1)
     positions[outside] = np.nan
     velocity[outside] = np.nan
     amplitudes[outside] = np.nan

@@ -1,0 +1,54 @@
+"""Maps between planes: affine or projective, one 3 x 3 matrix for each frame.
+
+A matrix takes homogeneous coordinates (x, y, 1) of the common plane to the pixels of a frame, up
+to a factor; its last entry is 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def translations(offsets: NDArray) -> NDArray[np.float64]:
+    """Return the maps that add an offset x, y to every position.
+
+    Parameters
+    ----------
+    offsets : array, shape (T, 2)
+        Pixels.
+
+    Returns
+    -------
+    array, shape (T, 3, 3)
+    """
+    maps = np.tile(np.eye(3), (len(offsets), 1, 1))
+    maps[:, :2, 2] = offsets
+    return maps
+
+
+def inverse(maps: NDArray) -> NDArray[np.float64]:
+    """Return the maps back, shape (..., 3, 3)."""
+    back = np.linalg.inv(maps)
+    return back / back[..., 2:, 2:]
+
+
+def apply(maps: NDArray, positions: NDArray) -> NDArray[np.float64]:
+    """Return where maps take positions.
+
+    Parameters
+    ----------
+    maps : array, shape (..., 3, 3)
+        Maps; their first axes broadcast against those of ``positions``.
+    positions : array, shape (..., 2)
+        x and y.
+
+    Returns
+    -------
+    array, shape (..., 2)
+        NaN where a position lies on or behind the horizon of a projective map.
+    """
+    x, y = positions[..., 0], positions[..., 1]
+    scaled = (maps[..., 0] * x[..., None] + maps[..., 1] * y[..., None] + maps[..., 2])
+    depth = np.where(scaled[..., 2] > 0, scaled[..., 2], np.nan)
+    return scaled[..., :2] / depth[..., None]

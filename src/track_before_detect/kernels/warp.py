@@ -1,0 +1,94 @@
+"""Images between their pixels, by cubic convolution (Keys 1981, a = -1/2).
+
+Layout of every array
+---------------------
+image : float32 (H, W); NaN where masked
+x, y : float64 (N,), column and row in pixels
+matrix : float64 (3, 3), see the module ``geometry``
+"""
+
+import math
+
+import numba
+import numpy as np
+
+_COMPILE = {'nogil': True, 'cache': True}
+
+
+@numba.njit(**_COMPILE)
+def _weights(fraction, weight, slope):
+    """Fill the weights, and their derivative, of the pixels at -1, 0, 1 and 2."""
+    f = fraction
+    weight[0] = ((-0.5 * f + 1.0) * f - 0.5) * f
+    weight[1] = (1.5 * f - 2.5) * f * f + 1.0
+    weight[2] = ((-1.5 * f + 2.0) * f + 0.5) * f
+    weight[3] = (0.5 * f - 0.5) * f * f
+    slope[0] = (-1.5 * f + 2.0) * f - 0.5
+    slope[1] = (4.5 * f - 5.0) * f
+    slope[2] = (-4.5 * f + 4.0) * f + 0.5
+    slope[3] = (1.5 * f - 1.0) * f
+
+
+@numba.njit(**_COMPILE)
+def sample_with_slope(image, x, y, out):
+    """Write value and slope in x and y at each position to out[n] = (f, df/dx, df/dy).
+
+    Beyond the border the image is continued by its last pixel.
+    """
+    height, width = image.shape
+    weight_x, slope_x = np.empty(4), np.empty(4)
+    weight_y, slope_y = np.empty(4), np.empty(4)
+    for n in range(x.size):
+        left, top = math.floor(x[n]), math.floor(y[n])
+        _weights(x[n] - left, weight_x, slope_x)
+        _weights(y[n] - top, weight_y, slope_y)
+        value = along_x = along_y = 0.0
+        for i in range(4):
+            row = min(max(int(top) + i - 1, 0), height - 1)
+            total = rise = 0.0
+            for k in range(4):
+                pixel = image[row, min(max(int(left) + k - 1, 0), width - 1)]
+                total += weight_x[k] * pixel
+                rise += slope_x[k] * pixel
+            value += weight_y[i] * total
+            along_x += weight_y[i] * rise
+            along_y += slope_y[i] * total
+        out[n, 0] = value
+        out[n, 1] = along_x
+        out[n, 2] = along_y
+
+
+@numba.njit(**_COMPILE)
+def warp(image, matrix, out):
+    """Write to out[y, x] the image where ``matrix`` takes (x, y), NaN where that is outside.
+
+    A pixel of weight 0 is not looked at, so that a NaN spreads no further than it must; the
+    border is continued by its last pixel.
+    """
+    height, width = image.shape
+    weight_x, weight_y, slope = np.empty(4), np.empty(4), np.empty(4)
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            out[row, column] = np.nan
+            depth = matrix[2, 0] * column + matrix[2, 1] * row + matrix[2, 2]
+            if not depth > 0:
+                continue
+            x = (matrix[0, 0] * column + matrix[0, 1] * row + matrix[0, 2]) / depth
+            y = (matrix[1, 0] * column + matrix[1, 1] * row + matrix[1, 2]) / depth
+            if not (-0.5 <= x <= width - 0.5 and -0.5 <= y <= height - 0.5):
+                continue
+            left, top = math.floor(x), math.floor(y)
+            _weights(x - left, weight_x, slope)
+            _weights(y - top, weight_y, slope)
+            value = 0.0
+            for i in range(4):
+                if weight_y[i] == 0.0:
+                    continue
+                source = min(max(int(top) + i - 1, 0), height - 1)
+                total = 0.0
+                for k in range(4):
+                    if weight_x[k] != 0.0:
+                        total += weight_x[k] * image[
+                            source, min(max(int(left) + k - 1, 0), width - 1)]
+                value += weight_y[i] * total
+            out[row, column] = value

@@ -1,0 +1,59 @@
+"""Move images by maps, see the module ``geometry``."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.kernels import warp as warp_kernels
+
+
+def warped(image: NDArray, matrix: NDArray) -> NDArray:
+    """Return an image as it is seen through a map, interpolated by cubic convolution.
+
+    Parameters
+    ----------
+    image : float32 array, shape (H, W)
+        NaN spreads to pixels whose value needs it.
+    matrix : array, shape (3, 3)
+        Takes positions of the result to those of ``image``.
+
+    Returns
+    -------
+    float32 array, shape (H, W)
+        NaN where the map leads outside the image.
+    """
+    if np.array_equal(matrix, _IDENTITY):
+        return image.copy()
+    moved = np.empty_like(image)
+    warp_kernels.warp(np.ascontiguousarray(image), matrix, moved)
+    return moved
+
+
+def shift_whole(frame: NDArray, offset: NDArray) -> NDArray:
+    """Move an image by whole pixels onto the registered plane.
+
+    Parameters
+    ----------
+    frame : array, shape (H, W)
+        Floating-point pixel values.
+    offset : array of int, shape (2,)
+        Offset x, y of the scene in this frame.
+
+    Returns
+    -------
+    array, shape (H, W)
+        ``frame`` at each position plus ``offset``, NaN where that is outside.
+    """
+    height, width = frame.shape
+    x, y = (int(value) for value in offset)
+    moved = np.full_like(frame, np.nan)
+    rows = slice(max(0, -y), min(height, height - y))
+    columns = slice(max(0, -x), min(width, width - x))
+    if rows.stop > rows.start and columns.stop > columns.start:
+        moved[rows, columns] = frame[rows.start + y:rows.stop + y,
+                                     columns.start + x:columns.stop + x]
+    return moved
+
+
+_IDENTITY = np.eye(3)
