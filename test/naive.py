@@ -1,8 +1,10 @@
 """Slow, readable twins of the compiled kernels."""
 
 import itertools
+import math
 
 import numpy as np
+from scipy import ndimage
 
 
 def every_path(graph, grid_shape):
@@ -47,22 +49,71 @@ def gaussian_stamp(shape, position, sigma, half, valid=None):
     return image / norm if norm > 1e-3 else 0 * image
 
 
-def matched_filter(frame, sigma, half, n_sub, valid=None):
-    """Return the statistic on the fine grid, one stamp at a time."""
+MARGIN = 25
+
+
+def psf_picture(psf, position):
+    """Return a PSF at position (x, y) on pixels from -MARGIN on, drawn from its definition.
+
+    Twice ``MARGIN`` and the largest frame of a test fit in; see ``cut``.
+    """
+    size = 2 * MARGIN + 40
+    pixel = np.arange(size) - MARGIN
+    if hasattr(psf, 'sigma_px'):
+        profiles = []
+        for centre in position:
+            offset = pixel - centre
+            if psf.integrated:
+                edges = np.array([[math.erf((d + side) / (psf.sigma_px * math.sqrt(2)))
+                                   for d in offset] for side in (-0.5, 0.5)])
+                profile = edges[1] - edges[0]
+            else:
+                profile = np.exp(-offset**2 / (2 * psf.sigma_px**2))
+            near = np.abs(pixel - math.floor(centre + 0.5)) <= psf.half_width
+            profiles.append(np.where(near, profile, 0))
+        return np.outer(profiles[1], profiles[0])
+    # Shifted on a wide canvas by the spline through its samples.
+    array = psf.array
+    canvas = np.zeros((size, size))
+    whole = np.floor(np.asarray(position) + 0.5).astype(int)
+    y, x = (MARGIN + whole[axis] - array.shape[1 - axis] // 2 for axis in (1, 0))
+    canvas[y:y + array.shape[0], x:x + array.shape[1]] = array
+    shifted = ndimage.shift(canvas, (position[1] - whole[1], position[0] - whole[0]), order=3)
+    reach = psf.half_width
+    kept = np.zeros_like(shifted)
+    y, x = MARGIN + whole[1], MARGIN + whole[0]
+    part = (slice(y - reach, y + reach + 1), slice(x - reach, x + reach + 1))
+    kept[part] = shifted[part]
+    return kept
+
+
+def cut(picture, shape):
+    """Return the part of a picture of ``psf_picture`` inside a frame."""
+    return picture[MARGIN:MARGIN + shape[0], MARGIN:MARGIN + shape[1]]
+
+
+def matched_filter(frame, psf, weights=None):
+    """Return statistic and norm on the fine grid, one stamp at a time.
+
+    ``frame`` is in units of the noise of each pixel, ``weights`` one over it.
+    """
     height, width = frame.shape
-    data = frame if valid is None else np.where(valid, frame, 0)
-    out = np.empty(((height - 1) * n_sub + 1, (width - 1) * n_sub + 1))
-    for y, x in np.ndindex(out.shape):
+    n_sub = psf.oversampling
+    shape = (height - 1) * n_sub + 1, (width - 1) * n_sub + 1
+    statistic, norms = np.empty(shape, frame.dtype), np.empty(shape)
+    for y, x in np.ndindex(shape):
         # The grid belongs to the pixel at or before it; the stamp is centred there.
-        stamp = np.zeros(frame.shape)
-        for row in range(max(0, y // n_sub - half), min(height, y // n_sub + half + 1)):
-            for column in range(max(0, x // n_sub - half), min(width, x // n_sub + half + 1)):
-                if valid is None or valid[row, column]:
-                    squared = (row - y / n_sub)**2 + (column - x / n_sub)**2
-                    stamp[row, column] = np.exp(-squared / (2 * sigma**2))
+        position = np.array([x, y]) / n_sub
+        moved = psf_picture(psf, position)
+        whole = np.linalg.norm(moved)
+        stamp = cut(moved, frame.shape)
+        if weights is not None:
+            stamp = stamp * weights
         norm = np.linalg.norm(stamp)
-        out[y, x] = np.sum(stamp * data) / norm if norm > 0 else 0
-    return out
+        norms[y, x] = norm / whole
+        hidden = norms[y, x]**2 <= 1e-3
+        statistic[y, x] = 0 if hidden else np.sum(stamp * frame) / norm
+    return statistic, norms
 
 
 def shrink(row, weight):

@@ -1,4 +1,4 @@
-"""The fine matched filter equals one stamp at a time, and is the adjoint of drawing stamps."""
+"""The fine matched filter equals one stamp at a time, and has unit variance everywhere."""
 
 import numpy as np
 import pytest
@@ -10,42 +10,71 @@ from track_before_detect.models.amplitudes import (
     NON_NEGATIVE,
     SIGNED,
 )
-from track_before_detect.models.psf import GaussianPsf
-from track_before_detect.models.state_graph import build_state_graph
-from track_before_detect.solvers.path_search import PathSearch
+from track_before_detect.models.psf import ArrayPsf, GaussianPsf
+from track_before_detect.solvers.position_scores import PositionScores
+
+PSFS = {
+    'narrow': GaussianPsf(0.7),
+    'gaussian': GaussianPsf(1.0),
+    'wide': GaussianPsf(2.3),
+    'integrated': GaussianPsf(0.6, integrated=True),
+    'array': ArrayPsf(np.add.outer(np.arange(5.0), np.arange(7.0)**2) + np.eye(5, 7, 1) * 9),
+}
+SHAPE = (13, 17)
 
 
-def search_for(psf, n_frames, shape, code=NON_NEGATIVE):
-    graph = build_state_graph(np.arange(float(n_frames)), step_px=1 / psf.oversampling,
-                              max_speed=0.5, max_acceleration=0.1, turn_cost=1.0)
-    return PathSearch(graph, psf, shape, AmplitudeModel(code))
+def scores_for(psf, shape, code=NON_NEGATIVE):
+    n_rows = psf.oversampling * (shape[0] - 1) + 1
+    return PositionScores(psf, shape, AmplitudeModel(code), lambda work: work(0, n_rows))
 
 
-@pytest.mark.parametrize('sigma', [0.7, 1.0, 2.3])
-@pytest.mark.parametrize('masked', [False, True])
-@pytest.mark.parametrize(('code', 'score'), [
-    (NON_NEGATIVE, lambda h: np.maximum(h, 0)**2), (SIGNED, lambda h: h**2),
-    (CONSTANT, lambda h: h / np.sqrt(2))])
-def test_scores_are_those_of_each_stamp(sigma, masked, code, score):
-    generator = np.random.default_rng(8)
-    frames = generator.standard_normal((2, 13, 17)).astype(np.float32)
-    valid = generator.random(frames.shape) > 0.2 if masked else None
-    if masked:
-        frames[~valid] = 0
-    psf = GaussianPsf(sigma)
-    search = search_for(psf, 2, frames.shape[1:], code)
-    search.set_mask(valid)
-    scores = search.scores(frames)
+def weights_of(kind):
+    generator = np.random.default_rng(3)
+    return {'none': None, 'mask': (generator.random((2, *SHAPE)) > 0.2).astype(np.float32),
+            'map': generator.uniform(0.3, 2, (1, *SHAPE)).astype(np.float32)}[kind]
+
+
+@pytest.mark.parametrize('name', PSFS)
+@pytest.mark.parametrize('kind', ['none', 'mask', 'map'])
+def test_scores_are_those_of_each_stamp(name, kind):
+    psf, weights = PSFS[name], weights_of(kind)
+    frames = np.random.default_rng(8).standard_normal((2, *SHAPE)).astype(np.float32)
+    if kind == 'mask':
+        frames[weights == 0] = 0
+    expected = [naive.matched_filter(frame, psf, None if weights is None else
+                                     weights[t % len(weights)])
+                for t, frame in enumerate(frames)]
+    for code, score in ((NON_NEGATIVE, lambda h: np.maximum(h, 0)**2), (SIGNED, lambda h: h**2)):
+        scores = scores_for(psf, SHAPE, code)
+        scores.set_weights(weights)
+        found = scores.scores(frames)
+        for t in range(2):
+            # What the components left out of the filter make up.
+            np.testing.assert_allclose(found[t], score(expected[t][0]), atol=4e-2)
+    scores = scores_for(psf, SHAPE, CONSTANT)
+    scores.set_weights(weights)
+    found = scores.scores(frames, 0.5, 0.25)
     for t in range(2):
-        statistic = naive.matched_filter(frames[t], sigma, psf.half_width, psf.oversampling,
-                                         None if valid is None else valid[t])
-        np.testing.assert_allclose(scores[t], score(statistic), atol=3e-3)
+        statistic, norms = expected[t]
+        if weights is None:
+            np.testing.assert_allclose(found[t], 0.5 * statistic, atol=1e-2)
+        else:
+            seen = norms**2 > 1e-3
+            np.testing.assert_allclose(
+                found[t], seen * (0.5 * norms * statistic - 0.25 * norms**2), atol=1e-2)
 
 
-def test_statistic_has_unit_variance_up_to_the_border():
-    psf = GaussianPsf(1.0)
-    frames = np.random.default_rng(9).standard_normal((4000, 6, 6)).astype(np.float32)
-    search = search_for(psf, 2, (6, 6))
-    scores = search.scores(frames)
-    # The positive half of a unit normal squared has mean 1/2 and variance 5/4.
-    assert np.abs(scores.mean(axis=0) - 0.5).max() < 6 * np.sqrt(1.25 / 4000)
+@pytest.mark.parametrize('name', PSFS)
+@pytest.mark.parametrize('kind', ['none', 'mask', 'map'])
+def test_statistic_has_unit_variance_up_to_borders_and_masks(name, kind):
+    n_frames = 4000
+    frames = np.random.default_rng(9).standard_normal((n_frames, *SHAPE)).astype(np.float32)
+    scores = scores_for(PSFS[name], SHAPE, SIGNED)
+    weights = weights_of(kind)
+    if weights is not None:
+        weights = weights[:1]
+        frames *= weights[0] > 0
+        scores.set_weights(weights)
+    found = scores.scores(frames)
+    # A unit normal squared has mean 1 and variance 2.
+    assert np.abs(found.mean(axis=0) - 1).max() < 6 * np.sqrt(2 / n_frames)

@@ -1,87 +1,135 @@
-"""Stamps are unit norm, cut at borders and masks, and equal a picture drawn pixel by pixel."""
+"""Stamps are unit norm, cut at borders, weighed, and equal a picture drawn pixel by pixel."""
 
 import numpy as np
 import pytest
 
 import naive
 from track_before_detect.kernels import stamps as kernel
+from track_before_detect.kernels.amplitude_codes import COMPLEX, SIGNED
+from track_before_detect.models.psf import ArrayPsf, GaussianPsf
 
-NO_MASK = np.zeros((0, 0, 0), bool)
 SHAPE = (11, 14)
-
-
-def render(positions, sigma, valid=NO_MASK, half=4):
-    stamps = np.empty((len(positions), 2 * half + 1, 2 * half + 1))
-    origins = np.empty((len(positions), 2), np.int64)
-    kernel.render_gaussian(positions, sigma, half, *SHAPE, valid, stamps, origins)
-    return stamps, origins
-
-
+T = 4
 POSITIONS = np.array([[5.2, 4.9], [0.0, 10.0], [13.0, 0.4], [6.5, 6.5]])
+LOPSIDED = np.add.outer(np.arange(5.0), np.arange(7.0)**2) + np.eye(5, 7, 1) * 9
+PSFS = {
+    'gaussian': GaussianPsf(1.0),
+    'integrated': GaussianPsf(0.8, integrated=True),
+    'array': ArrayPsf(LOPSIDED),
+}
 
 
-@pytest.fixture
-def valid():
-    return np.random.default_rng(1).random((len(POSITIONS), *SHAPE)) > 0.3
+def weights_of(kind):
+    """Return weights (T, H, W), (1, H, W) or none."""
+    generator = np.random.default_rng(1)
+    return {
+        'none': np.zeros((0, 0, 0), np.float32),
+        'mask': (generator.random((T, *SHAPE)) > 0.3).astype(np.float32),
+        'map': generator.uniform(0.3, 2, (1, *SHAPE)).astype(np.float32),
+    }[kind]
 
 
-@pytest.mark.parametrize('masked', [False, True])
-def test_drawn_stamps_equal_the_picture(masked, valid):
-    stamps, origins = render(POSITIONS, 1.0, valid if masked else NO_MASK)
-    frames = np.zeros((len(POSITIONS), *SHAPE), np.float32)
-    kernel.accumulate(frames, stamps, origins, np.arange(1.0, 5))
+def render(psf, positions, weights):
+    optics = psf.optics()
+    size = 2 * optics.half + 1
+    stamps = np.empty((len(positions), size, size))
+    origins = np.empty((len(positions), 2), np.int64)
+    norms = np.empty(len(positions))
+    kernel.render(optics, positions, *SHAPE, weights, stamps, origins, norms)
+    return stamps, origins, norms
+
+
+def drawn(psf, positions, weights, amplitudes):
+    stamps, origins, _ = render(psf, positions, weights)
+    frames = np.zeros((len(positions), *SHAPE), np.asarray(amplitudes).dtype)
+    kernel.accumulate(frames, stamps, origins, amplitudes)
+    return frames
+
+
+@pytest.mark.parametrize('name', PSFS)
+@pytest.mark.parametrize('kind', ['none', 'mask', 'map'])
+def test_drawn_stamps_and_norms_equal_the_picture(name, kind):
+    psf, weights = PSFS[name], weights_of(kind)
+    frames = drawn(psf, POSITIONS, weights, np.arange(1.0, 5))
+    _, _, norms = render(psf, POSITIONS, weights)
     for t, position in enumerate(POSITIONS):
-        picture = naive.gaussian_stamp(SHAPE, position, 1.0, 4, valid[t] if masked else None)
-        np.testing.assert_allclose(frames[t], (t + 1) * picture, atol=1e-6)
+        whole = naive.psf_picture(psf, position)
+        picture = naive.cut(whole, SHAPE)
+        if len(weights):
+            picture = picture * weights[t % len(weights)]
+        left = np.linalg.norm(picture)
+        np.testing.assert_allclose(frames[t], (t + 1) * picture / left, atol=2e-6)
+        assert norms[t] == pytest.approx(left / np.linalg.norm(whole), abs=1e-5)
 
 
-@pytest.mark.parametrize('masked', [False, True])
-def test_correlation_is_the_adjoint_of_drawing(masked, valid):
+@pytest.mark.parametrize('name', PSFS)
+@pytest.mark.parametrize('kind', ['none', 'mask', 'map'])
+@pytest.mark.parametrize('dtype', [np.float32, np.complex64])
+def test_correlation_is_the_adjoint_of_drawing(name, kind, dtype):
     generator = np.random.default_rng(2)
-    stamps, origins = render(POSITIONS, 1.0, valid if masked else NO_MASK)
-    amplitudes = generator.standard_normal(len(POSITIONS))
-    data = generator.standard_normal((len(POSITIONS), *SHAPE)).astype(np.float32)
-    drawn = np.zeros_like(data)
-    kernel.accumulate(drawn, stamps, origins, amplitudes)
-    seen = np.empty(len(POSITIONS))
+    stamps, origins, _ = render(PSFS[name], POSITIONS, weights_of(kind))
+    amplitudes = generator.standard_normal((2, T)).T @ [1, 0 if dtype == np.float32 else 1j]
+    data = (generator.standard_normal((2, T, *SHAPE)).transpose(1, 2, 3, 0) @ [1, 1j]).astype(
+        dtype) if dtype == np.complex64 else generator.standard_normal((T, *SHAPE)).astype(dtype)
+    amplitudes = np.ascontiguousarray(amplitudes)
+    picture = np.zeros_like(data)
+    kernel.accumulate(picture, stamps, origins, amplitudes)
+    seen = np.empty(T, amplitudes.dtype)
     kernel.correlate(stamps, origins, data, seen)
-    assert np.sum(drawn.astype(float) * data) == pytest.approx(amplitudes @ seen, rel=1e-5)
+    assert np.vdot(picture, data) == pytest.approx(np.vdot(amplitudes, seen), rel=1e-5)
 
 
-def test_overlap_is_the_inner_product_of_two_pictures(valid):
+@pytest.mark.parametrize('name', PSFS)
+def test_overlap_is_the_inner_product_of_two_pictures(name):
     others = POSITIONS + np.array([[1.3, -0.6], [3.0, -2.0], [-7.9, 0.0], [-20, 0]])
     others = np.clip(others, 0, [SHAPE[1] - 1, SHAPE[0] - 1])
-    a, b = render(POSITIONS, 1.0, valid), render(others, 1.0, valid)
-    out = np.empty(len(POSITIONS))
-    kernel.overlap(*a, *b, out)
-    for t in range(len(POSITIONS)):
-        expected = np.sum(naive.gaussian_stamp(SHAPE, POSITIONS[t], 1.0, 4, valid[t])
-                          * naive.gaussian_stamp(SHAPE, others[t], 1.0, 4, valid[t]))
-        assert out[t] == pytest.approx(expected, abs=1e-9)
+    psf, weights = PSFS[name], weights_of('mask')
+    out = np.empty(T)
+    kernel.overlap(*render(psf, POSITIONS, weights)[:2], *render(psf, others, weights)[:2], out)
+    ones = np.ones(T)
+    expected = np.einsum('tyx,tyx->t', drawn(psf, POSITIONS, weights, ones),
+                         drawn(psf, others, weights, ones))
+    np.testing.assert_allclose(out, expected, atol=1e-9)
 
 
-@pytest.mark.parametrize('masked', [False, True])
-def test_statistic_equals_stamp_and_slope_equals_difference_quotient(masked, valid):
-    data = np.random.default_rng(4).standard_normal((len(POSITIONS), *SHAPE)).astype(np.float32)
-    mask = valid if masked else NO_MASK
-    data[~valid] *= not masked
-    out = np.empty((len(POSITIONS), 3))
-    kernel.statistic_and_slope(POSITIONS, 1.0, 4, data, mask, out)
-    seen = np.empty(len(POSITIONS))
-    kernel.correlate(*render(POSITIONS, 1.0, mask), data, seen)
-    np.testing.assert_allclose(out[:, 0], seen, atol=1e-9)
-    if masked:
+@pytest.mark.parametrize('name', PSFS)
+@pytest.mark.parametrize('kind', ['none', 'mask', 'map'])
+@pytest.mark.parametrize('code', [SIGNED, COMPLEX])
+def test_statistic_equals_stamp_and_slope_equals_difference_quotient(name, kind, code):
+    generator = np.random.default_rng(4)
+    psf, weights = PSFS[name], weights_of(kind)
+    data = generator.standard_normal((T, *SHAPE)).astype(np.float32)
+    if code == COMPLEX:
+        data = (data + 1j * generator.standard_normal(data.shape)).astype(np.complex64)
+    if kind == 'mask':
+        data[weights == 0] = 0
+
+    def statistic(positions):
+        out, norms = np.empty((T, 3)), np.empty(T)
+        kernel.statistic_and_slope(psf.optics(), positions, data, weights, code, out, norms)
+        return out, norms
+
+    stamps, origins, norms = render(psf, POSITIONS, weights)
+    seen = np.empty(T, data.dtype)
+    kernel.correlate(stamps, origins, data, seen)
+    out, own_norms = statistic(POSITIONS)
+    np.testing.assert_allclose(out[:, 0], np.abs(seen) if code == COMPLEX else seen, atol=1e-6)
+    np.testing.assert_allclose(own_norms, 1.0 if kind == 'none' else norms)
+    if kind != 'none':
         return
     interior = 0
     for axis in (0, 1):
-        shifted = np.empty_like(out)
         moved = POSITIONS.copy()
         moved[:, axis] += 1e-5
-        kernel.statistic_and_slope(moved, 1.0, 4, data, mask, shifted)
-        slope = (shifted[interior, 0] - out[interior, 0]) / 1e-5
+        slope = (statistic(moved)[0][interior, 0] - out[interior, 0]) / 1e-5
+        # Less the change of the norm, which an array has even in the middle of the frame.
+        whole = [np.linalg.norm(naive.psf_picture(psf, p[interior])) for p in (moved, POSITIONS)]
+        slope += out[interior, 0] * np.log(whole[0] / whole[1]) / 1e-5
         assert out[interior, 1 + axis] == pytest.approx(slope, abs=2e-3)
 
 
-def test_stamp_without_a_valid_pixel_is_zero():
-    stamps, _ = render(POSITIONS, 1.0, np.zeros((len(POSITIONS), *SHAPE), bool))
+@pytest.mark.parametrize('name', PSFS)
+def test_stamp_without_a_valid_pixel_is_zero(name):
+    stamps, _, norms = render(PSFS[name], POSITIONS, np.zeros((T, *SHAPE), np.float32))
     assert not stamps.any()
+    assert not norms.any()

@@ -129,7 +129,7 @@ def crowd(seed, n_targets, mask, model):
 def pursued(frames, valid, model, graph, threshold):
     psf = GaussianPsf(1.0)
     search = PathSearch(graph, psf, (H, W), model)
-    search.set_mask(valid)
+    search.set_weights(valid)
     valid = NO_MASK if valid is None else valid
     paths = PathSet(frames, valid, psf, threshold, model)
     return pursue(search, Refiner(graph, psf, STAMPS, valid, model), paths, 3.0,

@@ -53,7 +53,7 @@ def solve(frames, continuation, threshold=6.5, mask=None, model=MODEL, **setting
     graph = build_state_graph(STAMPS, step_px=0.5, max_speed=1.0, max_acceleration=0.1,
                               turn_cost=model.turn_cost)
     search = PathSearch(graph, psf, (H, W), model)
-    search.set_mask(mask)
+    search.set_weights(mask)
     valid = NO_MASK if mask is None else mask
     paths = PathSet(frames, valid, psf, threshold, model)
     result = pursue(search, Refiner(graph, psf, STAMPS, valid, model), paths, 3.0,

@@ -1,8 +1,16 @@
 """Move a path uphill on its squared statistic within a family of smooth displacements."""
 
+import math
+
 import numba
 import numpy as np
 
+from track_before_detect.kernels.amplitude_codes import (
+    COMPLEX_CONSTANT,
+    CONSTANT,
+    NON_NEGATIVE,
+    SIGNED_CONSTANT,
+)
 from track_before_detect.kernels.stamps import statistic_and_slope
 
 _COMPILE = {'nogil': True, 'cache': True}
@@ -16,35 +24,39 @@ def _clip(positions, limit_x, limit_y):
 
 
 @numba.njit(**_COMPILE)
-def best_amplitudes(seen, model, out):
+def best_amplitudes(seen, norms, model, out):
     """Fit the amplitude of each frame to the statistic, the first column of ``seen`` (T, 3).
 
-    Returns the sum of their squares, which is the squared statistic of the path.
+    Constant amplitudes are in proportion to ``norms`` (T,). Returns the sum of the squares, which
+    is the squared statistic of the path.
     """
     n_frames = seen.shape[0]
-    mean = 0.0
+    product = 0.0
+    square = 1e-300
     for t in range(n_frames):
-        mean += seen[t, 0] / n_frames
+        product += norms[t] * seen[t, 0]
+        square += norms[t] * norms[t]
     total = 0.0
     for t in range(n_frames):
-        if model == 2:
-            out[t] = max(mean, 0.0)
-        elif model == 1:
-            out[t] = seen[t, 0]
-        else:
+        if model == CONSTANT:
+            out[t] = max(product, 0.0) / square * norms[t]
+        elif model == SIGNED_CONSTANT or model == COMPLEX_CONSTANT:
+            out[t] = product / square * norms[t]
+        elif model == NON_NEGATIVE:
             out[t] = max(seen[t, 0], 0.0)
+        else:
+            out[t] = seen[t, 0]
         total += out[t] * out[t]
     return total
 
 
 @numba.njit(**_COMPILE)
-def climb(positions, basis, sigma, half, frames, valid, model, most_steps):
+def climb(positions, basis, optics, frames, weights, model, most_steps):
     """Maximise the squared statistic by damped Gauss-Newton steps.
 
     positions : float64 (T, 2), moved in place
     basis : float64 (T, 2, B), C-contiguous; the displacement (x, y) of each frame is basis @ c
-    frames, valid : as in the module ``stamps``
-
+    optics, frames, weights : as in the module ``stamps``
     model : amplitude model, see the function ``shrink``
 
     Returns the squared statistic reached.
@@ -57,20 +69,22 @@ def climb(positions, basis, sigma, half, frames, valid, model, most_steps):
     trial = np.empty((n_frames, 2))
     amplitudes = np.empty(n_frames)
     trial_amplitudes = np.empty(n_frames)
+    norms = np.empty(n_frames)
+    sigma = 1.0 / math.sqrt(optics.curvature.sum())
     normal = np.empty((n_basis, n_basis))
     right = np.empty(n_basis)
     _clip(positions, limit_x, limit_y)
-    statistic_and_slope(positions, sigma, half, frames, valid, seen)
-    value = best_amplitudes(seen, model, amplitudes)
+    statistic_and_slope(optics, positions, frames, weights, model, seen, norms)
+    value = best_amplitudes(seen, norms, model, amplitudes)
     damping = 0.0
     for _ in range(most_steps):
         normal[:] = 0.0
         right[:] = 0.0
         for t in range(n_frames):
-            # A unit-norm Gaussian loses d^2 / (4 sigma^2) of its statistic at distance d, so half
-            # the squared statistic has this curvature; the floor keeps empty frames harmless.
-            curvature = (amplitudes[t]**2 + 0.1) / (2.0 * sigma * sigma)
             for axis in range(2):
+                # A stamp loses curvature d^2 / 2 of its statistic at distance d, and half the
+                # squared statistic has as much curvature; the floor keeps empty frames harmless.
+                curvature = (amplitudes[t]**2 + 0.1) * optics.curvature[axis]
                 slope = amplitudes[t] * seen[t, 1 + axis]
                 for i in range(n_basis):
                     here = basis[t, axis, i]
@@ -87,8 +101,8 @@ def climb(positions, basis, sigma, half, frames, valid, model, most_steps):
             step *= sigma / largest
         trial[:] = positions + step
         _clip(trial, limit_x, limit_y)
-        statistic_and_slope(trial, sigma, half, frames, valid, trial_seen)
-        trial_value = best_amplitudes(trial_seen, model, trial_amplitudes)
+        statistic_and_slope(optics, trial, frames, weights, model, trial_seen, norms)
+        trial_value = best_amplitudes(trial_seen, norms, model, trial_amplitudes)
         if trial_value > value:
             gained = trial_value - value
             positions[:] = trial

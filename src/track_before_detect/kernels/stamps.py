@@ -2,11 +2,14 @@
 
 Layout of every array
 ---------------------
+optics : Optics, see the module ``profiles``
 positions : float64 (T, 2), column x and row y in pixels
 stamps : float64 (T, K, K), K = 2 half + 1, rows are y
 origins : int64 (T, 2), pixel (x, y) of stamps[t, 0, 0]; may lie outside the frame
-frames : float32 (T, H, W), masked pixels are zero
-valid : bool (T, H, W), or of no frames where every pixel is valid
+frames : float32 or complex64 (T, H, W), in units of the noise of each pixel, masked pixels zero
+weights : float32 (T, H, W), one over the noise of each pixel, zero where masked; of one frame
+    where it is the same in all, of no frames where it is one everywhere
+norms : float64 (T,), what weights and border leave of the norm of the whole stamp
 """
 
 import math
@@ -14,38 +17,58 @@ import math
 import numba
 import numpy as np
 
+from track_before_detect.kernels.amplitude_codes import COMPLEX
+from track_before_detect.kernels.profiles import fill_profiles, product_norm, smear_of
+
 _COMPILE = {'nogil': True, 'cache': True}
+# A target that shows less than this share of its energy, weighed against that of a whole one at a
+# weight of one, counts as hidden: its position would be guessed from the outermost pixels.
+LEAST_SHARE = 1e-3
 
 
 @numba.njit(**_COMPILE)
-def render_gaussian(positions, sigma, half, height, width, valid, stamps, origins):
-    """Fill ``stamps`` and ``origins``: cut at the border and the mask, then of unit norm.
+def _place(optics, positions, t, ones, rows, row_slopes, columns, column_slopes):
+    """Fill the profiles of frame t; return the first pixel of the stamp."""
+    smear_x, smear_y = smear_of(optics, positions, t)
+    x_0 = int(math.floor(positions[t, 0] + 0.5)) - optics.half
+    y_0 = int(math.floor(positions[t, 1] + 0.5)) - optics.half
+    fill_profiles(optics, positions[t, 1], smear_y, 0, y_0, optics.shares, rows, row_slopes)
+    fill_profiles(optics, positions[t, 0], smear_x, 1, x_0, ones, columns, column_slopes)
+    return x_0, y_0
 
-    A stamp with no valid pixel is all zero.
+
+@numba.njit(**_COMPILE)
+def render(optics, positions, height, width, weights, stamps, origins, norms):
+    """Fill ``stamps``, ``origins`` and ``norms``: cut at the border, weighed, then of unit norm.
+
+    A stamp of which nearly nothing is left (LEAST_SHARE) is all zero, as is its norm.
     """
     n_frames = positions.shape[0]
-    size = 2 * half + 1
-    profile_x = np.empty(size)
-    profile_y = np.empty(size)
-    scale = -0.5 / (sigma * sigma)
+    size = 2 * optics.half + 1
+    n_parts = optics.coefficients.shape[0] * optics.nodes.size
+    ones = np.ones(optics.nodes.size)
+    rows = np.empty((n_parts, size))
+    columns = np.empty((n_parts, size))
+    unused = np.empty((n_parts, size))
+    weighted = weights.shape[0] > 0
     for t in range(n_frames):
-        origins[t, 0] = int(math.floor(positions[t, 0] + 0.5)) - half
-        origins[t, 1] = int(math.floor(positions[t, 1] + 0.5)) - half
-        for k in range(size):
-            x = origins[t, 0] + k
-            y = origins[t, 1] + k
-            profile_x[k] = math.exp(scale * (x - positions[t, 0])**2) if 0 <= x < width else 0.0
-            profile_y[k] = math.exp(scale * (y - positions[t, 1])**2) if 0 <= y < height else 0.0
+        x_0, y_0 = _place(optics, positions, t, ones, rows, unused, columns, unused)
+        origins[t, 0] = x_0
+        origins[t, 1] = y_0
+        stamps[t] = 0.0
         total = 0.0
-        for i in range(size):
-            for k in range(size):
-                value = profile_y[i] * profile_x[k]
-                if valid.shape[0] > 0 and value > 0.0:
-                    if not valid[t, origins[t, 1] + i, origins[t, 0] + k]:
-                        value = 0.0
+        for i in range(max(0, -y_0), min(size, height - y_0)):
+            for k in range(max(0, -x_0), min(size, width - x_0)):
+                value = 0.0
+                for c in range(n_parts):
+                    value += rows[c, i] * columns[c, k]
+                if weighted:
+                    value *= weights[t if weights.shape[0] > 1 else 0, y_0 + i, x_0 + k]
                 stamps[t, i, k] = value
                 total += value * value
-        factor = 1.0 / math.sqrt(total) if total > 1e-6 else 0.0
+        share = total / product_norm(rows, columns, 0, size, 0, size)
+        norms[t] = math.sqrt(share) if share > LEAST_SHARE else 0.0
+        factor = 1.0 / math.sqrt(total) if share > LEAST_SHARE else 0.0
         for i in range(size):
             for k in range(size):
                 stamps[t, i, k] *= factor
@@ -57,7 +80,7 @@ def correlate(stamps, origins, frames, out):
     n_frames, size, _ = stamps.shape
     height, width = frames.shape[1:]
     for t in range(n_frames):
-        total = 0.0
+        total = 0.0 * frames[t, 0, 0]
         for i in range(max(0, -origins[t, 1]), min(size, height - origins[t, 1])):
             for k in range(max(0, -origins[t, 0]), min(size, width - origins[t, 0])):
                 total += stamps[t, i, k] * frames[t, origins[t, 1] + i, origins[t, 0] + k]
@@ -74,7 +97,7 @@ def accumulate(frames, stamps, origins, amplitudes):
             continue
         for i in range(max(0, -origins[t, 1]), min(size, height - origins[t, 1])):
             for k in range(max(0, -origins[t, 0]), min(size, width - origins[t, 0])):
-                frames[t, origins[t, 1] + i, origins[t, 0] + k] += np.float32(
+                frames[t, origins[t, 1] + i, origins[t, 0] + k] += (
                     amplitudes[t] * stamps[t, i, k])
 
 
@@ -93,44 +116,70 @@ def overlap(stamps_a, origins_a, stamps_b, origins_b, out):
 
 
 @numba.njit(**_COMPILE)
-def statistic_and_slope(positions, sigma, half, frames, valid, out):
+def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     """Write statistic and its slope in x and y to out[t] = (h, dh/dx, dh/dy).
 
-    The slope leaves out the change of the norm near borders and masks, so it points uphill but
-    is exact only away from them.
+    ``norms`` is as in ``render`` where there are weights, otherwise one. Of complex frames these
+    are |h| and its slope. The slope leaves out the change of the norm near borders and masks, and
+    that of a smear, so it points uphill but is exact only away from them.
     """
     n_frames = positions.shape[0]
     height, width = frames.shape[1:]
-    scale = -0.5 / (sigma * sigma)
-    size = 2 * half + 1
-    profile = np.empty(size)
+    size = 2 * optics.half + 1
+    n_parts = optics.coefficients.shape[0] * optics.nodes.size
+    ones = np.ones(optics.nodes.size)
+    rows = np.empty((n_parts, size))
+    columns = np.empty((n_parts, size))
+    row_slopes = np.empty((n_parts, size))
+    column_slopes = np.empty((n_parts, size))
+    weighted = weights.shape[0] > 0
     for t in range(n_frames):
-        x_0 = int(math.floor(positions[t, 0] + 0.5)) - half
-        y_0 = int(math.floor(positions[t, 1] + 0.5)) - half
-        for k in range(size):
-            profile[k] = math.exp(scale * (x_0 + k - positions[t, 0])**2)
+        x_0, y_0 = _place(optics, positions, t, ones, rows, row_slopes, columns, column_slopes)
+        first_row, last_row = max(0, -y_0), min(size, height - y_0)
+        first, last = max(0, -x_0), min(size, width - x_0)
+        h = 0.0 * frames[0, 0, 0]
+        slope_x = 0.0 * frames[0, 0, 0]
+        slope_y = 0.0 * frames[0, 0, 0]
         total = 0.0
-        h = 0.0
-        slope_x = 0.0
-        slope_y = 0.0
-        for y in range(max(0, y_0), min(height, y_0 + size)):
-            weight_y = math.exp(scale * (y - positions[t, 1])**2)
-            row_h = 0.0
-            row_slope = 0.0
-            row_total = 0.0
-            for x in range(max(0, x_0), min(width, x_0 + size)):
-                if valid.shape[0] > 0 and not valid[t, y, x]:
-                    continue
-                value = profile[x - x_0]
-                product = value * frames[t, y, x]
-                row_h += product
-                row_slope += product * (x - positions[t, 0])
-                row_total += value * value
-            h += weight_y * row_h
-            slope_x += weight_y * row_slope
-            slope_y += weight_y * row_h * (y - positions[t, 1])
-            total += weight_y * weight_y * row_total
-        factor = 1.0 / math.sqrt(total) if total > 1e-6 else 0.0
-        out[t, 0] = h * factor
-        out[t, 1] = slope_x * factor / (sigma * sigma)
-        out[t, 2] = slope_y * factor / (sigma * sigma)
+        at = t if weights.shape[0] > 1 else 0
+        for i in range(first_row, last_row):
+            y = y_0 + i
+            for c in range(n_parts):
+                row_h = 0.0 * frames[0, 0, 0]
+                row_slope = 0.0 * frames[0, 0, 0]
+                if weighted:
+                    for k in range(first, last):
+                        pixel = frames[t, y, x_0 + k] * weights[at, y, x_0 + k]
+                        row_h += columns[c, k] * pixel
+                        row_slope += column_slopes[c, k] * pixel
+                else:
+                    for k in range(first, last):
+                        row_h += columns[c, k] * frames[t, y, x_0 + k]
+                        row_slope += column_slopes[c, k] * frames[t, y, x_0 + k]
+                h += rows[c, i] * row_h
+                slope_x += rows[c, i] * row_slope
+                slope_y += row_slopes[c, i] * row_h
+            if weighted:
+                for k in range(first, last):
+                    value = 0.0
+                    for c in range(n_parts):
+                        value += rows[c, i] * columns[c, k]
+                    value *= weights[at, y, x_0 + k]
+                    total += value * value
+        if not weighted:
+            total = product_norm(rows, columns, first_row, last_row, first, last)
+        share = total / product_norm(rows, columns, 0, size, 0, size)
+        norms[t] = 1.0
+        if weighted:
+            norms[t] = math.sqrt(share) if share > LEAST_SHARE else 0.0
+        factor = 1.0 / math.sqrt(total) if share > LEAST_SHARE else 0.0
+        if model >= COMPLEX:
+            magnitude = math.sqrt(h.real**2 + h.imag**2)
+            phase = np.conj(h) / magnitude if magnitude > 0.0 else 0.0 * h
+            out[t, 0] = magnitude * factor
+            out[t, 1] = (phase * slope_x).real * factor
+            out[t, 2] = (phase * slope_y).real * factor
+        else:
+            out[t, 0] = h.real * factor
+            out[t, 1] = slope_x.real * factor
+            out[t, 2] = slope_y.real * factor

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, SIGNED
 
-# Codes of the models in compiled loops.
-NON_NEGATIVE, SIGNED, CONSTANT = 0, 1, 2
+__all__ = ['CONSTANT', 'NON_NEGATIVE', 'SIGNED', 'AmplitudeModel']
 
 
 @dataclass(frozen=True)
@@ -52,13 +52,18 @@ class AmplitudeModel:
         return cls(SIGNED if amplitudes == 'signed' else NON_NEGATIVE)
 
     @property
+    def is_constant(self) -> bool:
+        """Whether one amplitude serves all frames."""
+        return self.code == CONSTANT
+
+    @property
     def turn_cost(self) -> float:
         """Cost of a change of either velocity component by one step, in units of a value."""
-        return 0.5 if self.code == CONSTANT else 3.0
+        return 0.5 if self.is_constant else 3.0
 
     def statistic(self, seen: NDArray) -> float:
         """Return eta for the matched filter statistic h of each frame, shape (T,)."""
-        if self.code == CONSTANT:
+        if self.is_constant:
             return max(float(np.sum(seen)), 0.0) / math.sqrt(len(seen))
         return float(np.linalg.norm(seen if self.code == SIGNED else np.maximum(seen, 0)))
 
@@ -68,14 +73,14 @@ class AmplitudeModel:
         Values add up along a path, so costs add to them: lambda^2 = threshold^2 + cost for the
         squared statistics, lambda = threshold + cost for the constant model.
         """
-        if self.code == CONSTANT:
+        if self.is_constant:
             return threshold + cost
         return math.sqrt(threshold**2 + cost)
 
     def value(self, statistic: float) -> float:
         """Return the value, additive along a path, of a path without turns."""
-        return statistic if self.code == CONSTANT else statistic**2
+        return statistic if self.is_constant else statistic**2
 
     def from_value(self, value: float) -> float:
         """Return the statistic of a path without turns that has this value."""
-        return max(value, 0.0) if self.code == CONSTANT else math.sqrt(max(value, 0.0))
+        return max(value, 0.0) if self.is_constant else math.sqrt(max(value, 0.0))

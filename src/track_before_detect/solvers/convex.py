@@ -16,8 +16,8 @@ class ConvexDetector(PathDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
         paths = task.paths
-        refiner = Refiner(task.graph, self.psf, task.times, task.valid, self.model)
-        result = pursue(task.search, refiner, paths, 3 * self.psf.sigma_px,
+        refiner = Refiner(task.graph, self.psf, task.times, task.weights, self.model)
+        result = pursue(task.search, refiner, paths, 3 * self.psf.width_px,
                         PursuitSettings(self.options.continuation))
         return BatchResult(self._collect(paths), paths.threshold, result.status, result.history,
                            result.gap)

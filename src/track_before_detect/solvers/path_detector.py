@@ -57,15 +57,15 @@ class Task:
         Holds the frames; starts empty.
     times : array, shape (T,)
         In the unit of time of the graph.
-    valid : array of bool, shape (T, H, W) or (0, 0, 0)
-        Pixels that hold data; of no frames where all do.
+    weights : float32 array, shape (T, H, W), (1, H, W) or (0, 0, 0)
+        One over the noise of each pixel, zero where masked; of no frames where it is one.
     """
 
     graph: StateGraph
     search: PathSearch
     paths: PathSet
     times: NDArray[np.float64]
-    valid: NDArray[np.bool_]
+    weights: NDArray[np.float32]
 
 
 class PathDetector(BatchDetector):
@@ -175,7 +175,7 @@ class PathDetector(BatchDetector):
 
             return largest
 
-        return NoiseStudy(f'{graph.fingerprint()} {self.psf} {self.model}',
+        return NoiseStudy(f'{graph.fingerprint()} {self.psf.key} {self.model}',
                           graph.effective_area, searcher, graph.coupling is not None)
 
     def detect(self, frames: NDArray, stamps: NDArray,
@@ -186,24 +186,25 @@ class PathDetector(BatchDetector):
         threshold = self.threshold(stamps, shape, progress)
         valid = np.isfinite(frames)
         if valid.all():
-            clean, mask = np.ascontiguousarray(frames, np.float32), None
+            clean, weights = np.ascontiguousarray(frames, np.float32), None
         else:
-            clean, mask = np.where(valid, frames, np.float32(0)), valid
-        search = self._path_search(graph, shape, mask)
-        valid_pixels = np.zeros((0, 0, 0), bool) if mask is None else mask
-        paths = PathSet(clean, valid_pixels, self.psf, threshold, self.model)
-        return self.solve(Task(graph, search, paths, regular_stamps(stamps), valid_pixels))
+            clean, weights = np.where(valid, frames, np.float32(0)), valid.astype(np.float32)
+        search = self._path_search(graph, shape, weights)
+        if weights is None:
+            weights = np.zeros((0, 0, 0), np.float32)
+        paths = PathSet(clean, weights, self.psf, threshold, self.model)
+        return self.solve(Task(graph, search, paths, regular_stamps(stamps), weights))
 
     @abstractmethod
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
 
-    def _path_search(self, graph, shape, mask):
+    def _path_search(self, graph, shape, weights):
         """Return the search for these paths, with its tables where the last one had them."""
         key = (shape, graph.fingerprint())
         if self._search is None or self._search[0] != key:
             self._search = (key, PathSearch(graph, self.psf, shape, self.model, usable_cores()))
-        self._search[1].set_mask(mask)
+        self._search[1].set_weights(weights)
         return self._search[1]
 
 

@@ -11,19 +11,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-import math
 
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels import matched_filter, path_search
+from track_before_detect.kernels import path_search
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.psf import Psf
 from track_before_detect.models.state_graph import StateGraph
 from track_before_detect.solvers.path_table import PathTable
+from track_before_detect.solvers.position_scores import grid_shape, PositionScores
 from track_before_detect.solvers.sheared_plane import ShearedPlane
-
-NO_MASK = np.empty((0, 0), np.float32)
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,7 @@ class PathSearch:
     ----------
     graph : StateGraph
         The paths.
-    psf : GaussianPsf
+    psf : Psf
         Its oversampling has to match the step of the graph.
     shape : tuple of int
         (H, W) of the frames.
@@ -62,43 +60,34 @@ class PathSearch:
         Threads that share the rows of the frames.
     """
 
-    def __init__(self, graph: StateGraph, psf: GaussianPsf, shape: tuple[int, int],
+    def __init__(self, graph: StateGraph, psf: Psf, shape: tuple[int, int],
                  model: AmplitudeModel, n_threads: int = 1):
         self.model = model
         self.graph = graph
-        n_sub = psf.oversampling
-        self._n_sub = n_sub
-        self._taps = np.array([psf.taps(phase / n_sub) for phase in range(n_sub)], np.float32)
-        self._scale_y = self._border_scale(shape[0])
-        self._scale_x = self._border_scale(shape[1])
         # Scores are computed on the grid of the frames and searched on grid_shape.
-        self._frame_grid = (len(self._scale_y), len(self._scale_x))
-        self._plane = ShearedPlane(graph, self._frame_grid) if graph.coupling else None
-        self.grid_shape = self._plane.shape if self._plane else self._frame_grid
-        self._norm_squared: NDArray | None = None
+        frame_grid = grid_shape(psf, shape)
+        self._plane = ShearedPlane(graph, frame_grid) if graph.coupling else None
+        self.grid_shape = self._plane.shape if self._plane else frame_grid
         self._table = PathTable(graph, self.grid_shape, n_threads)
+        self._scores = PositionScores(
+            psf, shape, model,
+            (lambda work: work(0, frame_grid[0])) if self._plane else self._table.over_rows)
 
-    def set_mask(self, valid: NDArray | None) -> None:
-        """Tell which pixels (T, H, W) of a new batch hold data; None when all do."""
-        self._norm_squared = None if valid is None else self._norms(valid)
+    def set_weights(self, weights: NDArray | None) -> None:
+        """Tell one over the noise of each pixel of a new batch; None when all are one.
+
+        Parameters
+        ----------
+        weights : array, shape (T, H, W) or (1, H, W), or None
+            Zero where masked.
+        """
+        self._scores.set_weights(weights)
         self._table.forget()
 
     def scores(self, frames: NDArray) -> NDArray:
         """Return what every position adds to the value of a path, shape (T, Y, X)."""
-        scores = np.empty((len(frames), *self._frame_grid), np.float32)
-        norms = self._norm_squared
-
-        def fill(first, last):
-            for t, frame in enumerate(frames):
-                matched_filter.scores_of_frame(
-                    scores[t], frame, NO_MASK if norms is None else norms[t], self._taps,
-                    self._scale_y, self._scale_x, self.model.code, len(frames), first, last)
-
-        if self._plane:
-            fill(0, self._frame_grid[0])
-            return self._plane.shear(scores)
-        self._table.over_rows(fill)
-        return scores
+        scores = self._scores.scores(frames)
+        return self._plane.shear(scores) if self._plane else scores
 
     def run(self, scores: NDArray) -> NDArray:
         """Fill the table of best path weights; return the best by last start, shape (Y, X)."""
@@ -169,23 +158,3 @@ class PathSearch:
         if self._plane:
             positions = self._plane.restore(positions)
         return FoundPath(positions * graph.step_px, value, cost)
-
-    def _border_scale(self, length):
-        """One over the norm of what is left of the PSF inside the frame, per grid position."""
-        half = self._taps.shape[1] // 2
-        scale = np.empty((length - 1) * self._n_sub + 1, np.float32)
-        for position in range(len(scale)):
-            centre, phase = divmod(position, self._n_sub)
-            pixel = np.arange(centre - half, centre + half + 1)
-            inside = (pixel >= 0) & (pixel < length)
-            scale[position] = 1 / math.sqrt(float(np.sum(self._taps[phase, inside]**2)))
-        return scale
-
-    def _norms(self, valid):
-        """Squared norm that the mask leaves of the unit-norm PSF, shape (T, Y, X)."""
-        norms = np.empty((len(valid), *self._frame_grid), np.float32)
-        for t, frame in enumerate(valid.astype(np.float32)):
-            matched_filter.filter_frame(
-                norms[t], frame, self._taps**2, self._scale_y**2, self._scale_x**2, 0,
-                self._frame_grid[0])
-        return norms

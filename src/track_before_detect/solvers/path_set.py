@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import connected_components
 from track_before_detect.kernels import shrinkage
 from track_before_detect.kernels import stamps as stamp_kernels
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.psf import Psf
 
 # Sweeps of coordinate descent that settle the amplitudes of a scene, and those that are enough to
 # see whether a change of few paths pays.
@@ -33,9 +33,9 @@ class PathSet:
     ----------
     frames : float32 array, shape (T, H, W)
         Frames of unit noise, masked pixels zero.
-    valid : array of bool, shape (T, H, W) or (0, 0, 0)
-        Pixels that hold data; of no frames where all do.
-    psf : GaussianPsf
+    weights : array, shape (T, H, W), (1, H, W) or (0, 0, 0)
+        One over the noise of each pixel, zero where masked; of no frames where it is one.
+    psf : Psf
         What a target looks like.
     threshold : float
         lambda of a path without turns.
@@ -55,12 +55,12 @@ class PathSet:
         Frames less the fit.
     """
 
-    def __init__(self, frames: NDArray, valid: NDArray, psf: GaussianPsf, threshold: float,
+    def __init__(self, frames: NDArray, weights: NDArray, psf: Psf, threshold: float,
                  model: AmplitudeModel):
         self.model = model
         self.frames = frames
-        self._valid = valid
-        self._psf = psf
+        self._pixel_weights = np.asarray(weights, np.float32)
+        self._optics = psf.optics()
         self.threshold = threshold
         self.positions: list[NDArray] = []
         self.costs: list[float] = []
@@ -227,12 +227,13 @@ class PathSet:
                                  -sign * self.amplitudes[path])
 
     def _render(self, positions):
-        half = self._psf.half_width
+        size = 2 * self._optics.half + 1
         n_frames, height, width = self.frames.shape
-        stamps = np.empty((n_frames, 2 * half + 1, 2 * half + 1))
+        stamps = np.empty((n_frames, size, size))
         origins = np.empty((n_frames, 2), np.int64)
-        stamp_kernels.render_gaussian(np.ascontiguousarray(positions), self._psf.sigma_px, half,
-                                      height, width, self._valid, stamps, origins)
+        norms = np.empty(n_frames)
+        stamp_kernels.render(self._optics, np.ascontiguousarray(positions), height, width,
+                             self._pixel_weights, stamps, origins, norms)
         return stamps, origins
 
     def _relate(self, path):

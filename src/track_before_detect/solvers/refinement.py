@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from track_before_detect.kernels.climb import best_amplitudes, climb
 from track_before_detect.kernels.stamps import statistic_and_slope
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.psf import Psf
 from track_before_detect.models.state_graph import StateGraph
 from track_before_detect.solvers.motions import motions_of
 
@@ -28,20 +28,20 @@ class Refiner:
     ----------
     graph : StateGraph
         Bounds the speed and prices the turns.
-    psf : GaussianPsf
+    psf : Psf
         What a target looks like.
     stamps : array, shape (T,)
         In the unit of time of the graph.
-    valid : array of bool, shape (T, H, W) or (0, 0, 0)
-        Pixels that hold data.
+    weights : float32 array, shape (T, H, W), (1, H, W) or (0, 0, 0)
+        One over the noise of each pixel; of no frames where it is one.
     model : AmplitudeModel
         Of the amplitudes.
     """
 
-    def __init__(self, graph: StateGraph, psf: GaussianPsf, stamps: NDArray,
-                 valid: NDArray, model: AmplitudeModel):
-        self._psf = psf
-        self._valid = valid
+    def __init__(self, graph: StateGraph, psf: Psf, stamps: NDArray,
+                 weights: NDArray, model: AmplitudeModel):
+        self._optics = psf.optics(psf.curvature)
+        self._weights = np.asarray(weights, np.float32)
         self._model = model
         self._motions = motions_of(graph, stamps)
 
@@ -63,14 +63,15 @@ class Refiner:
             Place on the continuation.
         """
         seen = np.empty((len(positions), 3))
-        statistic_and_slope(positions, self._psf.sigma_px, self._psf.half_width, frames,
-                            self._valid, seen)
-        squared = best_amplitudes(seen, self._model.code, np.empty(len(positions)))
+        norms = np.empty(len(positions))
+        statistic_and_slope(self._optics, positions, frames, self._weights, self._model.code, seen,
+                            norms)
+        squared = best_amplitudes(seen, norms, self._model.code, np.empty(len(positions)))
         best = (self._gain(squared, cost, threshold, t_convex), positions, cost)
         for start, basis, family_cost in self._motions.candidates(positions, cost):
             moved = np.array(start)
-            value = climb(moved, basis, self._psf.sigma_px, self._psf.half_width, frames,
-                          self._valid, self._model.code, MOST_STEPS)
+            value = climb(moved, basis, self._optics, frames, self._weights, self._model.code,
+                          MOST_STEPS)
             if not self._motions.allowed(moved):
                 continue
             moved_cost = family_cost
