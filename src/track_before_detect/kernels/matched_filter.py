@@ -7,6 +7,8 @@ weights : float32 (H, W), multiplies the frame; of no rows where it is one.
 taps : float32 (C, 2, S, K)
     Profile in y and in x of each of the C components for each of the S positions within a pixel,
     K odd, middle entry on the pixel itself.
+level : float32 (S, S)
+    Multiplies the stamp of each position within a pixel, y and x.
 scale_y, scale_x : float32 (Y,), (X,)
     Multiply the rows and columns of the result.
 out : float32 (Y, X), Y = S (H - 1) + 1, X = S (W - 1) + 1.
@@ -39,9 +41,9 @@ def _add_weighted(out, source, weights, factor):
 
 
 @numba.njit(**_COMPILE)
-def _spread(out, source, first, stride):
+def _spread(out, source, first, stride, factor):
     for x in range(source.size):
-        out[first + stride * x] = source[x]
+        out[first + stride * x] = factor * source[x]
 
 
 @numba.njit(**_COMPILE)
@@ -51,7 +53,7 @@ def _times(out, factor):
 
 
 @numba.njit(**_COMPILE)
-def _filter_row(out, y, frame, weights, taps, scale_y, scale_x, padded, part):
+def _filter_row(out, y, frame, weights, taps, level, scale_y, scale_x, padded, part):
     """Write row ``y`` of the correlation; ``padded`` and ``part`` are room to work in."""
     n_components, _, n_sub, n_taps = taps.shape
     half = n_taps // 2
@@ -73,18 +75,19 @@ def _filter_row(out, y, frame, weights, taps, scale_y, scale_x, padded, part):
             for k in range(n_taps):
                 _add_scaled(part[phase], padded[k:k + width], taps[c, 1, phase, k])
     for phase in range(n_sub):
-        _spread(out, part[phase, :width if phase == 0 else width - 1], phase, n_sub)
+        _spread(out, part[phase, :width if phase == 0 else width - 1], phase, n_sub,
+                level[phase_y, phase])
     _times(out, scale_x)
 
 
 @numba.njit(**_COMPILE)
-def filter_frame(out, frame, weights, taps, scale_y, scale_x, first_row, last_row):
+def filter_frame(out, frame, weights, taps, level, scale_y, scale_x, first_row, last_row):
     """Write rows ``first_row`` to ``last_row`` of the correlation of ``frame`` with the PSF."""
     width = frame.shape[1]
     padded = np.empty(width + taps.shape[3] - 1, np.float32)
     part = np.empty((taps.shape[2], width), np.float32)
     for y in range(first_row, last_row):
-        _filter_row(out[y], y, frame, weights, taps, scale_y, scale_x, padded, part)
+        _filter_row(out[y], y, frame, weights, taps, level, scale_y, scale_x, padded, part)
 
 
 @numba.njit(**_COMPILE)
@@ -133,8 +136,8 @@ def _less_share(row, share, factor, tilt):
 
 
 @numba.njit(**_COMPILE)
-def scores_of_frame(out, real, imaginary, weights, shares, uneven, taps, scale_y, scale_x, model,
-                    factor, tilt, first_row, last_row):
+def scores_of_frame(out, real, imaginary, weights, shares, uneven, taps, level, scale_y, scale_x,
+                    model, factor, tilt, first_row, last_row):
     """Write what a position adds to the value of a path.
 
     With h the matched filter statistic that is max(h, 0)^2, h^2 or |h|^2 where amplitudes may
@@ -150,11 +153,11 @@ def scores_of_frame(out, real, imaginary, weights, shares, uneven, taps, scale_y
     constant = model == CONSTANT or model == SIGNED_CONSTANT or model == COMPLEX_CONSTANT
     normalise = shares.shape[0] > 0 and not uneven
     for y in range(first_row, last_row):
-        _filter_row(out[y], y, real, weights, taps, scale_y, scale_x, padded, part)
+        _filter_row(out[y], y, real, weights, taps, level, scale_y, scale_x, padded, part)
         if normalise:
             _over_norm(out[y], shares[y])
         if imaginary.shape[0] > 0:
-            _filter_row(other, y, imaginary, weights, taps, scale_y, scale_x, padded, part)
+            _filter_row(other, y, imaginary, weights, taps, level, scale_y, scale_x, padded, part)
             if normalise:
                 _over_norm(other, shares[y])
             _add_square(out[y], other)

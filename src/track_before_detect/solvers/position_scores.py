@@ -60,7 +60,7 @@ class PositionScores:
         self._taps = taps.astype(np.float32)
         self._grid_shape = grid_shape(psf, shape)
         self._ones = [np.ones(n, np.float32) for n in self._grid_shape]
-        self._whole = _tiled(_norms_squared(taps), self._grid_shape)
+        self._level = (1 / np.sqrt(_norms_squared(taps))).astype(np.float32)
         self._weights: NDArray = NOTHING[None][:0]
         self.shares: NDArray | None = None
         if rank == 1:
@@ -114,8 +114,8 @@ class PositionScores:
             for t in range(n_frames):
                 matched_filter.scores_of_frame(
                     scores[t], real[t], imaginary[t], _frame_of(self._weights, t),
-                    _frame_of(shares, t), uneven, self._taps, scale_y, scale_x,
-                    self._model.code, factor, tilt, first, last)
+                    _frame_of(shares, t), uneven, self._taps, self._level, scale_y,
+                    scale_x, self._model.code, factor, tilt, first, last)
 
         self._over_rows(fill)
         return scores
@@ -133,11 +133,10 @@ class PositionScores:
 
         def fill(first, last):
             for share, weights in zip(shares, squared_weights, strict=True):
-                matched_filter.filter_frame(share, weights, NOTHING, taps, *self._ones, first,
-                                            last)
+                matched_filter.filter_frame(share, weights, NOTHING, taps, self._level**2,
+                                            *self._ones, first, last)
 
         self._over_rows(fill)
-        shares /= self._whole
         return shares
 
 
@@ -151,12 +150,6 @@ def _norms_squared(taps):
     in_y = np.einsum('csk,dsk->cds', taps[:, 0], taps[:, 0])
     in_x = np.einsum('csk,dsk->cds', taps[:, 1], taps[:, 1])
     return np.einsum('cdy,cdx->yx', in_y, in_x)
-
-
-def _tiled(pattern, shape):
-    n_sub = len(pattern)
-    repeats = [-(-n // n_sub) for n in shape]
-    return np.tile(pattern, repeats)[:shape[0], :shape[1]].astype(np.float32)
 
 
 def _shares_in_line(taps, length, n_sub):
