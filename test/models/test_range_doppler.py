@@ -59,7 +59,7 @@ def test_search_finds_the_best_of_all_paths(k, acceleration):
     psf, shape = GaussianPsf(2.0), (7, 5)
     search = PathSearch(graph, psf, shape, AmplitudeModel(NON_NEGATIVE))
     frames = np.random.default_rng(3).standard_normal((4, *shape)).astype(np.float32)
-    plain = np.stack([naive.matched_filter(frame, 2.0, psf.half_width, 1) for frame in frames])
+    plain = np.stack([naive.matched_filter(frame, psf)[0] for frame in frames])
     plain = np.maximum(plain, 0)**2
     plane = ShearedPlane(graph, shape)
     best = -np.inf
