@@ -244,3 +244,68 @@ def turned(state):
 def matches(velocity, other):
     """Return whether two velocities in half pixels per frame match (Eq. 4)."""
     return other is None or max(abs(velocity[0] - other[0]), abs(velocity[1] - other[1])) <= 1
+
+
+def transition_merit(scores, sets):
+    """Return scores[t, p] + max over (dx, dy) of sets[t] of the merit one frame before."""
+    merit = np.array(scores, float)
+    for t in range(1, len(merit)):
+        for y, x in np.ndindex(*merit.shape[1:]):
+            before = [merit[t - 1, y + dy, x + dx] for dx, dy in sets[t]
+                      if 0 <= y + dy < merit.shape[1] and 0 <= x + dx < merit.shape[2]]
+            merit[t, y, x] += max(before)
+    return merit
+
+
+def merit_of_pixel(psi, phi, squared, signed):
+    """Return what a pixel adds to the merit function; psi has one part or two."""
+    if phi <= 1e-3:
+        return 0.0
+    h = np.linalg.norm(psi) / np.sqrt(phi) if len(psi) == 2 or signed else psi[0] / np.sqrt(phi)
+    return (max(h, 0) if not signed else h)**2 if squared else h
+
+
+def cancelled_targets(psi, phi, weights, stamp, cores, squared, signed, sets, bound):
+    """Return (path, statistics, merit) of target after target, all computed again each time."""
+    psi, phi = np.array(psi, float), np.array(phi, float)
+    n_frames, height, width = phi.shape
+    half = len(stamp) // 2
+    scale = np.ones(phi.shape) if not len(weights) else np.broadcast_to(weights, phi.shape)
+    found = []
+    while True:
+        scores = np.array([[[merit_of_pixel(psi[:, t, y, x], phi[t, y, x], squared, signed)
+                             for x in range(width)] for y in range(height)]
+                           for t in range(n_frames)])
+        merit = transition_merit(scores, sets)
+        y, x = np.unravel_index(np.argmax(merit[-1]), merit[-1].shape)
+        value = merit[-1, y, x]
+        if not value > bound:
+            return found
+        path = [(x, y)]
+        for t in range(n_frames - 1, 0, -1):
+            reachable = [(x + dx, y + dy) for dx, dy in sets[t]
+                         if 0 <= y + dy < height and 0 <= x + dx < width]
+            x, y = max(reachable, key=lambda p, t=t: merit[t - 1, p[1], p[0]])
+            path.insert(0, (x, y))
+        seen = np.zeros((len(psi), n_frames))
+        for t, (x, y) in enumerate(path):
+            if phi[t, y, x] <= 1e-3:
+                continue
+            seen[:, t] = psi[:, t, y, x] / np.sqrt(phi[t, y, x])
+            shown = np.zeros((height + 4 * half, width + 4 * half))
+            shown[2 * half:2 * half + height, 2 * half:2 * half + width] = scale[t]**2
+            target = np.zeros_like(shown)
+            target[y + half:y + 3 * half + 1, x + half:x + 3 * half + 1] = stamp
+            target *= shown
+            for v in range(max(0, y - 2 * half), min(height, y + 2 * half + 1)):
+                for u in range(max(0, x - 2 * half), min(width, x + 2 * half + 1)):
+                    there = target[v + half:v + 3 * half + 1, u + half:u + 3 * half + 1]
+                    psi[:, t, v, u] -= (seen[:, t] / np.sqrt(phi[t, y, x])
+                                        * np.sum(there * stamp))
+            share = phi[t].copy()
+            for v in range(max(0, y - 2 * half), min(height, y + 2 * half + 1)):
+                for u in range(max(0, x - 2 * half), min(width, x + 2 * half + 1)):
+                    if np.linalg.norm(seen[:, t]) > cores[v - y + 2 * half, u - x + 2 * half]:
+                        share[v, u] = 0
+            phi[t] = share
+        found.append((np.array(path), seen, value))

@@ -18,7 +18,8 @@ import numpy as np
 
 from track_before_detect.errors import ParameterError
 
-DETECTORS = ('convex', 'greedy', 'cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_dpr', 'mff_dpr')
+DETECTORS = ('convex', 'greedy', 'cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_dpr', 'mff_dpr',
+             'mt_dp', 'pc_dp')
 DEFAULT_CONTINUATION = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)
 
 
@@ -43,7 +44,7 @@ class DetectorOptions:
         'convex', 'Method that finds the trajectories: convex finds all jointly; for comparison, '
         'greedy finds one after the other, and dynamic programming over whole pixels of first '
         '(cfo) or second order (cso, mff), in one direction (_dp) or both (_dpr), finds one in '
-        'each round.', kind='text', choices=DETECTORS)
+        'each round; mt_dp cancels one after the other, pc_dp does so by direction.', kind='text', choices=DETECTORS)
     psf_sigma_px: float = _option(
         1.0, 'Standard deviation of the Gaussian point spread function.', kind='number',
         unit='px', minimum=0.3, maximum=20.0)

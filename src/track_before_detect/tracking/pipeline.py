@@ -15,6 +15,8 @@ from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.merit_detector import MeritDetector
 from track_before_detect.solvers.merit_functions import METHODS
+from track_before_detect.solvers.mt_dp import MtDpDetector
+from track_before_detect.solvers.pc_dp import PcDpDetector
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
@@ -27,6 +29,8 @@ DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
     'convex': ConvexDetector,
     'greedy': GreedyDetector,
     **dict.fromkeys(METHODS, MeritDetector),
+    'mt_dp': MtDpDetector,
+    'pc_dp': PcDpDetector,
 }
 
 

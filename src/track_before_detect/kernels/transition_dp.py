@@ -1,0 +1,377 @@
+"""First-order dynamic programming over any transition set, and target cancellation.
+
+Layout of every array
+---------------------
+merit, scores : float32 (T, Y, X)
+    Merit function I and what each pixel adds to it.
+rows : int32 (R, 3)
+    Transition sets, one row of pixels each: dy, first dx, last dx, where (dx, dy) leads from a
+    pixel to its predecessor in the frame before. Rows with the same dx stand together.
+row_first : int32 (S + 1,)
+    First row of each set.
+sets : int32 (T,)
+    Number of the set that leads to frame t from the one before; the first is not used.
+psi : float32 (C, T, Y, X)
+    Data seen through the PSF; C is 2 for the real and imaginary parts of complex frames, else 1.
+phi : float32 (T, Y, X)
+    Squared norm that is left of the PSF; zero where nothing can be seen.
+weights : float32 (T, H, W), (1, H, W) or (0, 0, 0)
+    Scale of each pixel, zero where masked; of no frames where it is one.
+stamp : float32 (K, K)
+    The PSF, K odd.
+cores : float32 (2 K - 1, 2 K - 1)
+    Largest amplitude of a target in the middle that leaves each pixel in use.
+
+The loops over x are small functions of their own because written into the nest they are not
+vectorised; they take flat arrays with unsigned offsets, which spares a slice for each row.
+"""
+
+import numba
+import numpy as np
+
+ABSENT = np.float32(-1e30)
+# Part of the PSF that border and mask have to leave for a pixel to be searched.
+LEAST_PHI = np.float32(1e-3)
+
+_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
+_U = np.uint64
+
+
+@numba.njit(**_COMPILE)
+def _fill(out, o, n, value):
+    for x in range(_U(n)):
+        out[o + x] = value
+
+
+@numba.njit(**_COMPILE)
+def _copy(out, o, source, a, n):
+    for x in range(_U(n)):
+        out[o + x] = source[a + x]
+
+
+@numba.njit(**_COMPILE)
+def _raise(out, o, source, a, n):
+    for x in range(_U(n)):
+        out[o + x] = out[o + x] if out[o + x] > source[a + x] else source[a + x]
+
+
+@numba.njit(**_COMPILE)
+def _largest_of_two(out, o, source, a, b, n):
+    for x in range(_U(n)):
+        out[o + x] = source[a + x] if source[a + x] > source[b + x] else source[b + x]
+
+
+@numba.njit(**_COMPILE)
+def _largest_of_three(out, o, source, a, b, c, n):
+    for x in range(_U(n)):
+        largest = source[a + x] if source[a + x] > source[b + x] else source[b + x]
+        out[o + x] = largest if largest > source[c + x] else source[c + x]
+
+
+@numba.njit(**_COMPILE)
+def _add(out, o, source, a, n):
+    for x in range(_U(n)):
+        out[o + x] += source[a + x]
+
+
+@numba.njit(**_COMPILE)
+def _largest_in_rows(column, o, merit, base, y, rows, first, last, n_y, n_x, x_first, n):
+    """Write the largest over rows y + dy to column[o + x]; return whether there are such."""
+    n_valid = 0
+    a, b, c = _U(0), _U(0), _U(0)
+    for r in range(first, last):
+        row = y + rows[r, 0]
+        if row < 0 or row >= n_y:
+            continue
+        start = _U(base + row * n_x + x_first)
+        n_valid += 1
+        if n_valid == 1:
+            a = start
+        elif n_valid == 2:
+            b = start
+        elif n_valid == 3:
+            c = start
+            _largest_of_three(column, o, merit, a, b, c, n)
+        else:
+            _raise(column, o, merit, start, n)
+    if n_valid == 1:
+        _copy(column, o, merit, a, n)
+    elif n_valid == 2:
+        _largest_of_two(column, o, merit, a, b, n)
+    return n_valid > 0
+
+
+@numba.njit(**_COMPILE)
+def _extend(merit, scores, t, n_y, n_x, rows, first_row, last_row, y_first, y_last, x_first,
+            x_last, column):
+    before = (t - 1) * n_y * n_x
+    n = x_last - x_first
+    for y in range(y_first, y_last):
+        out = _U((t * n_y + y) * n_x + x_first)
+        started = False
+        r = first_row
+        while r < last_row:
+            low, high = rows[r, 1], rows[r, 2]
+            end = r + 1
+            while end < last_row and rows[end, 1] == low and rows[end, 2] == high:
+                end += 1
+            # Entry i of the column maximum belongs to x_first + low + i.
+            first = min(x_last + high, max(0, x_first + low))
+            last = max(first, min(n_x, x_last + high))
+            left = first - x_first - low
+            reachable = _largest_in_rows(column, _U(left), merit, before, y, rows, r, end, n_y,
+                                         n_x, first, last - first)
+            r = end
+            if not reachable:
+                continue
+            _fill(column, _U(0), left, ABSENT)
+            right = left + last - first
+            _fill(column, _U(right), n + high - low - right, ABSENT)
+            done = 0
+            if not started:
+                if high - low == 0:
+                    _copy(merit, out, column, _U(0), n)
+                    done = 1
+                elif high - low == 1:
+                    _largest_of_two(merit, out, column, _U(0), _U(1), n)
+                    done = 2
+                else:
+                    _largest_of_three(merit, out, column, _U(0), _U(1), _U(2), n)
+                    done = 3
+                started = True
+            for shift in range(done, high - low + 1):
+                _raise(merit, out, column, _U(shift), n)
+        if not started:
+            _fill(merit, out, n, ABSENT)
+        _add(merit, out, scores, out, n)
+
+
+@numba.njit(**_COMPILE)
+def accumulate(merit, scores, rows, row_first, sets, boxes):
+    """Write merit[t, p] = scores[t, p] + max over the set of merit[t - 1, p + (dx, dy)].
+
+    In frame t that is done for the pixels of boxes[t] = first y, last y, first x, last x, the
+    last ones not included. Returns the number of candidates that were looked at.
+    """
+    n_frames, n_y, n_x = merit.shape
+    flat = merit.reshape(merit.size)
+    flat_scores = scores.reshape(scores.size)
+    widest = 0
+    for r in range(rows.shape[0]):
+        widest = max(widest, rows[r, 2] - rows[r, 1])
+    column = np.empty(n_x + widest, np.float32)
+    n_candidates = 0
+    for t in range(n_frames):
+        y_first, y_last, x_first, x_last = boxes[t, 0], boxes[t, 1], boxes[t, 2], boxes[t, 3]
+        if y_last <= y_first or x_last <= x_first:
+            continue
+        if t == 0:
+            for y in range(y_first, y_last):
+                o = _U(y * n_x + x_first)
+                _copy(flat, o, flat_scores, o, x_last - x_first)
+            continue
+        first, last = row_first[sets[t]], row_first[sets[t] + 1]
+        _extend(flat, flat_scores, t, n_y, n_x, rows, first, last, y_first, y_last, x_first,
+                x_last, column)
+        n_pixels = (y_last - y_first) * (x_last - x_first)
+        for r in range(first, last):
+            n_candidates += n_pixels * (rows[r, 2] - rows[r, 1] + 1)
+    return n_candidates
+
+
+@numba.njit(**_COMPILE)
+def _spread_boxes(boxes, rows, row_first, sets, n_y, n_x):
+    """Grow the boxes of later frames by what depends on the boxes of those before."""
+    for t in range(1, boxes.shape[0]):
+        if boxes[t - 1, 1] <= boxes[t - 1, 0]:
+            continue
+        for r in range(row_first[sets[t]], row_first[sets[t] + 1]):
+            boxes[t, 0] = max(0, min(boxes[t, 0], boxes[t - 1, 0] - rows[r, 0]))
+            boxes[t, 1] = min(n_y, max(boxes[t, 1], boxes[t - 1, 1] - rows[r, 0]))
+            boxes[t, 2] = max(0, min(boxes[t, 2], boxes[t - 1, 2] - rows[r, 2]))
+            boxes[t, 3] = min(n_x, max(boxes[t, 3], boxes[t - 1, 3] - rows[r, 1]))
+
+
+@numba.njit(**_COMPILE)
+def _trace(merit, rows, row_first, sets, y, x, path):
+    """Follow the best path back from pixel (x, y) of the last frame."""
+    n_frames, n_y, n_x = merit.shape
+    path[n_frames - 1, 0], path[n_frames - 1, 1] = x, y
+    for t in range(n_frames - 1, 0, -1):
+        best = np.float32(-np.inf)
+        from_x, from_y = x, y
+        for r in range(row_first[sets[t]], row_first[sets[t] + 1]):
+            row = y + rows[r, 0]
+            if row < 0 or row >= n_y:
+                continue
+            for column in range(max(0, x + rows[r, 1]), min(n_x, x + rows[r, 2] + 1)):
+                if merit[t - 1, row, column] > best:
+                    best = merit[t - 1, row, column]
+                    from_x, from_y = column, row
+        x, y = from_x, from_y
+        path[t - 1, 0], path[t - 1, 1] = x, y
+
+
+@numba.njit(**_COMPILE)
+def _power(out, o, real, imaginary, phi, n):
+    for x in range(_U(n)):
+        share = phi[o + x]
+        power = real[o + x] * real[o + x] + imaginary[o + x] * imaginary[o + x]
+        out[o + x] = power / share if share > LEAST_PHI else np.float32(0)
+
+
+@numba.njit(**_COMPILE)
+def _statistic(out, o, psi, phi, n):
+    for x in range(_U(n)):
+        share = phi[o + x]
+        out[o + x] = psi[o + x] / np.sqrt(share) if share > LEAST_PHI else np.float32(0)
+
+
+@numba.njit(**_COMPILE)
+def _root(out, o, n):
+    for x in range(_U(n)):
+        out[o + x] = np.sqrt(out[o + x])
+
+
+@numba.njit(**_COMPILE)
+def _square(out, o, n):
+    for x in range(_U(n)):
+        out[o + x] = out[o + x] * out[o + x]
+
+
+@numba.njit(**_COMPILE)
+def _square_positive(out, o, n):
+    for x in range(_U(n)):
+        value = out[o + x] if out[o + x] > 0 else np.float32(0)
+        out[o + x] = value * value
+
+
+@numba.njit(**_COMPILE)
+def _absolute(out, o, n):
+    for x in range(_U(n)):
+        out[o + x] = abs(out[o + x])
+
+
+@numba.njit(**_COMPILE)
+def score_pixels(scores, psi, phi, boxes, squared, signed):
+    """Write what a pixel adds to the merit function, for the pixels of boxes[t] of each frame.
+
+    With h = psi / sqrt(phi) that is h, |h| where signed or complex, or the square of either;
+    max(h, 0)^2 for the square of an h that is not signed.
+    """
+    n_frames, n_y, n_x = scores.shape
+    flat = scores.reshape(scores.size)
+    flat_phi = phi.reshape(phi.size)
+    real = psi[0].reshape(phi.size)
+    imaginary = psi[psi.shape[0] - 1].reshape(phi.size)
+    for t in range(n_frames):
+        n = boxes[t, 3] - boxes[t, 2]
+        for y in range(boxes[t, 0], boxes[t, 1]):
+            o = _U((t * n_y + y) * n_x + boxes[t, 2])
+            if psi.shape[0] == 2:
+                _power(flat, o, real, imaginary, flat_phi, n)
+                if not squared:
+                    _root(flat, o, n)
+                continue
+            _statistic(flat, o, real, flat_phi, n)
+            if squared and signed:
+                _square(flat, o, n)
+            elif squared:
+                _square_positive(flat, o, n)
+            elif signed:
+                _absolute(flat, o, n)
+
+
+@numba.njit(**_COMPILE)
+def _cancel_in_frame(psi, phi, weights, stamp, cores, t, y, x, seen):
+    """Subtract the target at pixel (x, y) of frame t, and end the use of the pixels it spoils.
+
+    What a target adds to psi of other pixels follows from its fit in this pixel. Rounding to whole
+    pixels leaves a part of it; pixels where that may pass the noise are not searched again, nor
+    those whose stamps are mostly the same. ``seen`` (C,) receives the statistic of the frame.
+    """
+    n_y, n_x = phi.shape[1:]
+    half = stamp.shape[0] // 2
+    share = phi[t, y, x]
+    squared = np.float32(0)
+    for c in range(psi.shape[0]):
+        seen[c] = psi[c, t, y, x] / np.sqrt(share) if share > LEAST_PHI else np.float32(0)
+        squared += seen[c] * seen[c]
+    if not share > LEAST_PHI:
+        return
+    size = np.sqrt(squared)
+    weighted = weights.shape[0] > 0
+    frame = t if weights.shape[0] > 1 else 0
+    for v in range(max(0, y - 2 * half), min(n_y, y + 2 * half + 1)):
+        for u in range(max(0, x - 2 * half), min(n_x, x + 2 * half + 1)):
+            common = np.float32(0)
+            for q in range(max(0, y - half, v - half), min(n_y, y + half + 1, v + half + 1)):
+                for p in range(max(0, x - half, u - half), min(n_x, x + half + 1, u + half + 1)):
+                    product = (stamp[q - y + half, p - x + half]
+                               * stamp[q - v + half, p - u + half])
+                    if weighted:
+                        product *= weights[frame, q, p] * weights[frame, q, p]
+                    common += product
+            for c in range(psi.shape[0]):
+                psi[c, t, v, u] -= seen[c] / np.sqrt(share) * common
+    for v in range(max(0, y - 2 * half), min(n_y, y + 2 * half + 1)):
+        for u in range(max(0, x - 2 * half), min(n_x, x + 2 * half + 1)):
+            if size > cores[v - y + 2 * half, u - x + 2 * half]:
+                phi[t, v, u] = 0
+
+
+@numba.njit(**_COMPILE)
+def _largest_value(values, o, n):
+    largest = values[o]
+    for x in range(_U(n)):
+        largest = values[o + x] if values[o + x] > largest else largest
+    return largest
+
+
+@numba.njit(**_COMPILE)
+def _largest_of_rows(merit, largest, first_row, last_row):
+    """Write the largest of each row of the last frame to largest[y]."""
+    n_frames, n_y, n_x = merit.shape
+    flat = merit.reshape(merit.size)
+    for y in range(first_row, last_row):
+        largest[y] = _largest_value(flat, _U(((n_frames - 1) * n_y + y) * n_x), n_x)
+
+
+@numba.njit(**_COMPILE)
+def find_targets(psi, phi, weights, stamp, cores, squared, signed, scores, merit, rows, row_first,
+                 sets, bound, paths, seen, values):
+    """Find target after target: the best path, its cancellation, the merit function again.
+
+    ``psi``, ``phi`` and ``scores`` are given and are changed; ``merit`` is room to work in. Only
+    what depends on a cancelled pixel is computed again, which leaves the same merit function as
+    computing all of it. The targets are written to ``paths`` int32 (P, T, 2), their statistics to
+    ``seen`` float32 (P, C, T) and their merit to ``values`` (P,). Returns how many there are, the
+    largest merit that is left, and the candidates that were looked at.
+    """
+    n_frames, n_y, n_x = merit.shape
+    half = stamp.shape[0] // 2
+    boxes = np.empty((n_frames, 4), np.int64)
+    for t in range(n_frames):
+        boxes[t, 0], boxes[t, 1], boxes[t, 2], boxes[t, 3] = 0, n_y, 0, n_x
+    n_candidates = accumulate(merit, scores, rows, row_first, sets, boxes)
+    largest = np.empty(n_y, np.float32)
+    _largest_of_rows(merit, largest, 0, n_y)
+    found = 0
+    while True:
+        y = np.argmax(largest)
+        value = largest[y]
+        if not value > bound or found == values.size:
+            return found, value, n_candidates
+        x = np.argmax(merit[n_frames - 1, y])
+        _trace(merit, rows, row_first, sets, y, x, paths[found])
+        values[found] = value
+        for t in range(n_frames):
+            x, y = paths[found, t, 0], paths[found, t, 1]
+            _cancel_in_frame(psi, phi, weights, stamp, cores, t, y, x, seen[found, :, t])
+            boxes[t, 0], boxes[t, 1] = max(0, y - 2 * half), min(n_y, y + 2 * half + 1)
+            boxes[t, 2], boxes[t, 3] = max(0, x - 2 * half), min(n_x, x + 2 * half + 1)
+        score_pixels(scores, psi, phi, boxes, squared, signed)
+        _spread_boxes(boxes, rows, row_first, sets, n_y, n_x)
+        n_candidates += accumulate(merit, scores, rows, row_first, sets, boxes)
+        _largest_of_rows(merit, largest, boxes[n_frames - 1, 0], boxes[n_frames - 1, 1])
+        found += 1

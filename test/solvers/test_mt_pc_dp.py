@@ -1,0 +1,126 @@
+"""Target cancellation and its parallel form on the scenes of Guo et al. 2018."""
+
+import numpy as np
+import pytest
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation import parallel_scenes as scenes
+from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.transition_sets import directional_sets
+from track_before_detect.options import DetectorOptions
+from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.solvers.measurements import cores, measure, Merit
+from track_before_detect.solvers.mt_dp import MtDpDetector
+from track_before_detect.solvers.pc_dp import PcDpDetector
+from track_before_detect.solvers.target_cancellation import TargetSearch
+
+DETECTORS = [pytest.param(MtDpDetector, id='mt_dp'), pytest.param(PcDpDetector, id='pc_dp')]
+NARROW = GaussianPsf(0.3)
+STAMPS = np.arange(6.0)
+
+
+def search(frames, psf=NARROW, squared=True):
+    return TargetSearch(measure(frames, psf), cores(psf), Merit(squared))
+
+
+@pytest.mark.parametrize('n_directions', [1, 2, 3, 4, 6])
+@pytest.mark.parametrize('squared', [True, False])
+def test_bright_targets_of_the_paper_are_all_found_in_their_cells(n_directions, squared):
+    scene = scenes.six_targets(20.0, np.random.default_rng(1))
+    made = search(scene.frames, squared=squared)
+    directions = directional_sets([1] * 6, n_directions)
+    bound = 60.0 if squared else 20.0
+    searches = made.run_parallel(directions, bound, 1)
+    found = made.fuse(searches, bound)
+    last = {tuple(track.pixels[-1]) for track in found[:6]}
+    assert last == {tuple(cells[-1]) for cells in scene.cells}
+
+
+def test_threads_change_nothing():
+    scene = scenes.six_targets(9.0, np.random.default_rng(2))
+    made = search(scene.frames)
+    directions = directional_sets([1] * 6, 4)
+    alone, together = (made.run_parallel(directions, 25.0, n) for n in (1, 4))
+    for a, b in zip(alone, together, strict=True):
+        assert a.n_candidates == b.n_candidates
+        assert [track.value for track in a.tracks] == [track.value for track in b.tracks]
+        assert all(np.array_equal(p.pixels, q.pixels)
+                   for p, q in zip(a.tracks, b.tracks, strict=True))
+
+
+def test_found_points_leave_nothing_behind():
+    frames = np.zeros((6, 20, 20), complex)
+    for t in range(6):
+        frames[t, 5 + t, 7] = 30j
+    done = search(frames).run(directional_sets([1] * 6, 1)[0], 1.0)
+    assert len(done.tracks) == 1 and done.largest_left == 0
+    np.testing.assert_allclose(done.tracks[0].seen, 30j)
+
+
+def test_a_search_in_a_wrong_direction_adds_no_track_of_its_own():
+    scene = scenes.draw_scene([(10.0, 1.0, 10.0, 1.0)], 18.0, np.random.default_rng(4))
+    made = search(scene.frames)
+    searches = made.run_parallel(directional_sets([1] * 6, 4), 33.0, 1)
+    assert sum(len(done.tracks) for done in searches) > 1
+    [track] = made.fuse(searches, 33.0)
+    np.testing.assert_array_equal(track.pixels, scene.cells[0])
+
+
+def test_targets_of_all_directions_are_found():
+    for angle in range(8):
+        step = np.rint([np.cos(angle * np.pi / 4), np.sin(angle * np.pi / 4)])
+        scene = scenes.draw_scene([(25.0, step[0], 25.0, step[1])], 15.0,
+                                  np.random.default_rng(angle))
+        made = search(scene.frames)
+        found = made.fuse(made.run_parallel(directional_sets([1] * 6, 8), 40.0, 1), 40.0)
+        np.testing.assert_array_equal(found[0].pixels, scene.cells[0])
+
+
+@pytest.mark.parametrize('detector', DETECTORS)
+@pytest.mark.parametrize('snr', [4.0, 30.0])
+def test_blurred_targets_are_found_once_each(detector, snr):
+    made = simulate('three_targets', 3, snr=snr, fps=1.0)
+    options = DetectorOptions(threshold=12.0, max_speed_px_s=1.0)
+    found = detector(options).detect(made.frames, made.stamps).found
+    truth = made.truth[:, 2:].reshape(3, 20, 2)
+    errors = [min(np.hypot(*(trajectory.positions - path).T).mean() for path in truth)
+              for trajectory in found]
+    assert len(found) == 3
+    assert max(errors) < 1.5
+
+
+@pytest.mark.parametrize('detector', DETECTORS)
+def test_masked_pixels_are_not_searched(detector):
+    made = simulate('single_target', 5, snr=6.0, fps=1.0)
+    made.frames[:, :, 70:] = np.nan
+    made.frames[4, 20:60] = np.nan
+    options = DetectorOptions(threshold=9.5, max_speed_px_s=1.0)
+    for trajectory in detector(options).detect(made.frames, made.stamps).found:
+        assert np.all(trajectory.positions[:, 0] < 74)
+        assert np.all(np.isfinite(trajectory.amplitudes))
+
+
+@pytest.mark.parametrize('detector', DETECTORS)
+def test_threshold_holds_the_false_alarm_rate_asked_for(detector, tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    monkeypatch.setattr('track_before_detect.solvers.threshold.MOST_CROPS', 1500)
+    options = DetectorOptions(psf_sigma_px=0.3, max_speed_px_s=1.0, false_alarm_rate=0.1)
+    made = detector(options)
+    threshold = made.threshold(STAMPS, (50, 50))
+    rng = np.random.default_rng(8)
+    n_runs = 600
+    alarms = sum(bool(made.detect(rng.standard_normal((6, 50, 50)), STAMPS).found)
+                 for _ in range(n_runs))
+    assert threshold == made.threshold(STAMPS, (50, 50))
+    # Four standard deviations of the count and of the threshold about the rate.
+    assert 0.045 < alarms / n_runs < 0.16
+
+
+@pytest.mark.parametrize('name', ['mt_dp', 'pc_dp'])
+@pytest.mark.parametrize(('option', 'said'), [
+    ({'motion_model': 'constant_velocity'}, "motion_model must be .* got 'constant_velocity'"),
+    ({'max_acceleration_px_s2': 0.1}, 'max_acceleration_px_s2 must be automatic, got 0.1')])
+def test_what_a_method_cannot_do_is_refused(name, option, said):
+    options = DetectorOptions(detector=name, **option)
+    with pytest.raises(ParameterError, match=f'{name} .*{said}'):
+        {'mt_dp': MtDpDetector, 'pc_dp': PcDpDetector}[name](options)
