@@ -5,7 +5,7 @@ import pytest
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation import parallel_scenes as scenes
-from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.transition_sets import directional_sets
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
@@ -124,3 +124,19 @@ def test_what_a_method_cannot_do_is_refused(name, option, said):
     options = DetectorOptions(detector=name, **option)
     with pytest.raises(ParameterError, match=f'{name} .*{said}'):
         {'mt_dp': MtDpDetector, 'pc_dp': PcDpDetector}[name](options)
+
+
+def test_psi_and_phi_are_sums_over_the_stamp():
+    rng = np.random.default_rng(9)
+    frames = rng.standard_normal((2, 12, 14))
+    frames[1, 4:7, 3:9] = np.nan
+    psf = ArrayPsf(rng.uniform(0.2, 1.0, (5, 3)))
+    data = measure(frames, psf)
+    half = len(data.stamp) // 2
+    assert np.linalg.norm(data.stamp) == pytest.approx(1, abs=1e-5)
+    valid = np.pad(np.isfinite(frames), ((0, 0), (half, half), (half, half)))
+    clean = np.pad(np.nan_to_num(frames), ((0, 0), (half, half), (half, half)))
+    for t, y, x in [(0, 0, 0), (0, 6, 7), (1, 5, 5), (1, 11, 13), (1, 2, 3)]:
+        part = np.s_[t, y:y + 2 * half + 1, x:x + 2 * half + 1]
+        assert data.psi[0, t, y, x] == pytest.approx(np.sum(clean[part] * data.stamp), abs=1e-4)
+        assert data.phi[t, y, x] == pytest.approx(np.sum(valid[part] * data.stamp**2), abs=1e-4)

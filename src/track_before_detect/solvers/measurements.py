@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import correlate
 
 from track_before_detect.kernels import matched_filter, transition_dp
-from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.psf import Psf
 
 # Share of the peak below which the rim of a stamp is left out: a target narrower than 0.3 pixels
 # is a single pixel.
@@ -16,6 +17,7 @@ LEAST_OF_PEAK = 0.005
 # Stamps that overlap by more than this are taken for one position.
 SAME_POSITION = 0.5
 WHOLE = np.zeros((0, 0, 0), np.float32)
+NOTHING = np.zeros((0, 0), np.float32)
 
 
 @dataclass(frozen=True)
@@ -79,29 +81,30 @@ class Measurements:
         return scores
 
 
-def measure(frames: NDArray, psf: GaussianPsf) -> Measurements:
+def measure(frames: NDArray, psf: Psf) -> Measurements:
     """See frames through a PSF.
 
     Parameters
     ----------
     frames : array, shape (T, H, W)
         Frames of unit noise (E|n|^2 = 1 for complex ones); not finite where masked.
-    psf : GaussianPsf
+    psf : Psf
         What a target looks like.
     """
-    taps = _profile(psf, 0.0).astype(np.float32)
+    taps = _components(psf)
     valid = np.isfinite(frames)
     whole = bool(valid.all())
     clean = frames if whole else np.where(valid, frames, 0)
     parts = [clean.real, clean.imag] if np.iscomplexobj(frames) else [clean]
     psi = np.stack([_correlate(part, taps) for part in parts])
     shown = np.ones((1, *frames.shape[1:])) if whole else valid
-    phi = np.broadcast_to(_correlate(shown, taps**2), frames.shape)
+    phi = np.broadcast_to(_correlate(shown, _squared(taps)), frames.shape)
     weights = WHOLE if whole else valid.astype(np.float32)
-    return Measurements(psi, np.ascontiguousarray(phi), weights, np.outer(taps, taps))
+    stamp = np.einsum('ci,cj->ij', taps[:, 0], taps[:, 1])
+    return Measurements(psi, np.ascontiguousarray(phi), weights, stamp.astype(np.float32))
 
 
-def cores(psf: GaussianPsf) -> NDArray[np.float32]:
+def cores(psf: Psf) -> NDArray[np.float32]:
     """Return the largest statistic of a target that leaves each pixel around it in use.
 
     A target half a pixel off in x and y has an amplitude fitted in the middle of its pixel; what
@@ -113,37 +116,56 @@ def cores(psf: GaussianPsf) -> NDArray[np.float32]:
     array, shape (2 K - 1, 2 K - 1)
         For a stamp of K x K pixels; the target is in the middle.
     """
-    middle, aside = _profile(psf, 0.0), _profile(psf, 0.5)
-    half = len(middle) - 1
+    half = _half_width(psf)
     if half == 0:
         return np.full((1, 1), -1, np.float32)
-    same = _overlaps(middle, middle, half)
-    overlap = np.outer(same, same)
+    middle = _stamp(psf, 0.0, 0.0, half)
+    overlap = correlate(middle, middle)
     left = np.zeros(overlap.shape)
-    for x in (aside, aside[::-1]):
-        for y in (aside, aside[::-1]):
-            seen = np.outer(_overlaps(y, middle, half), _overlaps(x, middle, half))
+    for y in (-0.5, 0.5):
+        for x in (-0.5, 0.5):
+            seen = correlate(_stamp(psf, y, x, half), middle)
             # An amplitude of one is fitted, whatever it takes.
-            left = np.maximum(left, np.abs(seen / seen[half, half] - overlap))
+            left = np.maximum(left, np.abs(seen / seen[2 * half, 2 * half] - overlap))
     return np.where(overlap > SAME_POSITION, -1.0, 1 / np.maximum(left, 1e-9)).astype(np.float32)
 
 
-def _profile(psf, phase):
-    """Return the unit-norm profile without its faint rim; that of ``phase`` 0 sets the length."""
-    kept = np.flatnonzero(psf.taps(0.0) > LEAST_OF_PEAK * psf.taps(0.0).max())
-    profile = psf.taps(phase)[kept[0]:kept[-1] + 1]
-    return profile / np.linalg.norm(profile)
+def _half_width(psf):
+    """Return how far from the middle the stamp is more than its faint rim."""
+    stamp = np.abs(_stamp(psf, 0.0, 0.0, psf.half_width))
+    bright = np.argwhere(stamp > LEAST_OF_PEAK * stamp.max()) - psf.half_width
+    return int(np.abs(bright).max())
 
 
-def _overlaps(moved, profile, half):
-    """Return the inner product of two profiles for shifts of -half to half pixels."""
-    return np.correlate(np.pad(moved, half), profile, 'valid')
+def _stamp(psf, phase_y, phase_x, half):
+    """Return the unit-norm PSF around a position between the pixels, cut to a half width."""
+    rows, columns = psf.profiles(0, phase_y)[0], psf.profiles(1, phase_x)[0]
+    kept = slice(psf.half_width - half, psf.half_width + half + 1)
+    stamp = np.einsum('ci,cj->ij', rows[:, kept], columns[:, kept])
+    return stamp / np.linalg.norm(stamp)
+
+
+def _components(psf):
+    """Return profiles (C, 2, K) in y and in x whose products add up to the unit-norm stamp."""
+    half, rank = _half_width(psf), psf.filter_rank
+    kept = slice(psf.half_width - half, psf.half_width + half + 1)
+    taps = np.stack([psf.profiles(axis, 0.0)[0][:rank, kept] for axis in (0, 1)], axis=1)
+    taps[:, 0] /= np.linalg.norm(np.einsum('ci,cj->ij', taps[:, 0], taps[:, 1]))
+    return taps
+
+
+def _squared(taps):
+    """Return the components of the square of the stamp: the products of all pairs."""
+    return (taps[:, None] * taps[None]).reshape(-1, *taps.shape[1:])
 
 
 def _correlate(frames, taps):
-    """Return the correlation of each frame with a separable stamp."""
+    """Return the correlation of each frame with a sum of separable components."""
     out = np.empty(frames.shape, np.float32)
     ones_y, ones_x = np.ones(frames.shape[1], np.float32), np.ones(frames.shape[2], np.float32)
+    level = np.ones((1, 1), np.float32)
+    in_place = np.ascontiguousarray(taps[:, :, None], np.float32)
     for frame, result in zip(np.ascontiguousarray(frames, np.float32), out, strict=True):
-        matched_filter.filter_frame(result, frame, taps[None], ones_y, ones_x, 0, len(frame))
+        matched_filter.filter_frame(result, frame, NOTHING, in_place, level, ones_y, ones_x, 0,
+                                    len(frame))
     return out

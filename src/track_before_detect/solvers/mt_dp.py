@@ -107,7 +107,7 @@ class MtDpDetector(BatchDetector):
             return float(np.prod(np.maximum(np.array(crop) - reach, 0.5)))
 
         return NoiseStudy(
-            f'{self.options.detector} {self.n_directions} {len(stamps)} {reach} {self.psf} '
+            f'{self.options.detector} {self.n_directions} {len(stamps)} {reach} {self.psf.key} '
             f'{self.merit} {self._complex}', area, searcher)
 
     def detect(self, frames: NDArray, stamps: NDArray,
