@@ -148,6 +148,12 @@ def write_suite_result(output: str | os.PathLike, name: str, result: SuiteResult
     return [output / file.name for file in files]
 
 
+def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table in Markdown; the first column to the left."""
+    return ['| ' + ' | '.join(header) + ' |', '|---|' + '---:|' * (len(header) - 1),
+            *('| ' + ' | '.join(row) + ' |' for row in rows)]
+
+
 def table_text(quantities: Sequence[Quantity]) -> str:
     """Return the quantities as lines of text with aligned columns."""
     rows = [('quantity', 'value', '95 % interval', 'from', ''), *map(_cells, quantities)]

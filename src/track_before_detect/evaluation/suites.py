@@ -11,6 +11,7 @@ from track_before_detect.evaluation.detection_suite import run_detection
 from track_before_detect.evaluation.limit_suites import run_accuracy, run_dim, run_false_alarms
 from track_before_detect.evaluation.patent_suite import run_patent
 from track_before_detect.evaluation.report import SuiteResult
+from track_before_detect.evaluation.ring_suites import run_ring_multi, run_ring_single
 from track_before_detect.evaluation.runner import Runner
 
 
@@ -49,6 +50,12 @@ SUITES: dict[str, Suite] = {
     'false-alarms': Suite(
         'Batches of noise of 64, 128 and 256 px (20 N, 8 N and 2 N): how many hold a trajectory '
         'beside the rate that was asked for.', run_false_alarms),
+    'ring-single': Suite(
+        'Single targets by the six methods of Fu et al. 2022: Figure 6 and Table 1 (N runs a '
+        'point, 54 points).', run_ring_single),
+    'ring-multi': Suite(
+        'Two and three targets by the six methods of Fu et al. 2022: Figures 9 and 10 and Table '
+        '2 (N runs a point, 12 points).', run_ring_multi),
 }
 
 
