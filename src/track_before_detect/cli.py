@@ -78,6 +78,7 @@ examples:
 _BENCH_EXAMPLES = """\
 examples:
   tbd bench convex --output bench.json
+  tbd bench dp --output dp.json
   on one core only, where the system has taskset:
     taskset -c 0 tbd bench convex --output one_core.json
 """
@@ -275,14 +276,15 @@ def _add_bench(commands):
         'print a\ntable and write it as JSON with a description of the machine.')
     bench.set_defaults(run=_bench)
     bench.add_argument('bench', metavar='BENCH', nargs='?', default='convex',
-                       help='what is measured: convex (default)')
+                       help='what is measured: convex (default), or dp, dynamic programming '
+                       'beside plain NumPy')
     bench.add_argument('--output', metavar='FILE.json', default='bench.json',
                        help='file to write (default: bench.json)')
     bench.add_argument('--repeats', metavar='R', type=int, default=7,
                        help='measurements of each stage (default: 7)')
     bench.add_argument('--large', action='store_true',
-                       help='also measure frames of 640 x 512 px, which takes minutes and '
-                       'several gigabytes')
+                       help='also measure larger frames; convex then takes minutes and several '
+                       'gigabytes')
 
 
 def _evaluate(arguments):
@@ -312,7 +314,7 @@ def _evaluate(arguments):
 
 
 def _bench(arguments):
-    from track_before_detect.evaluation.bench import bench_named, bench_table, convex_cases
+    from track_before_detect.evaluation.benches import bench_named
 
     bench = bench_named(arguments.bench)
     output = Path(arguments.output)
@@ -321,9 +323,9 @@ def _bench(arguments):
     if not output.parent.is_dir():
         raise ParameterError(f'folder {output.parent} of --output does not exist')
     with _Progress(sys.stderr) as progress:
-        measured = bench(arguments.repeats, convex_cases(arguments.large), progress)
+        measured = bench.measure(arguments.repeats, arguments.large, progress)
     write_summary_json(output, measured)
-    print(bench_table(measured))
+    print(bench.table(measured))
     print(f'written: {output}')
     return FOUND
 

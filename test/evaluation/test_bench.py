@@ -5,8 +5,10 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.evaluation import bench
+from track_before_detect.evaluation import bench, bench_dp, benches
 from track_before_detect.evaluation.machine import describe_machine
+from track_before_detect.evaluation.numpy_merit import numpy_merit_functions
+from track_before_detect.solvers.merit_functions import merit_functions
 
 TINY = {'height': 40, 'width': 44, 'n_frames': 6, 'snr': 8.0}
 
@@ -76,7 +78,31 @@ def test_measurement_that_the_system_ends_is_named():
 
 @pytest.mark.parametrize(('call', 'said'), [
     (lambda: bench.bench_convex(0, [], quiet), 'repeats must be at least 1, got 0'),
-    (lambda: bench.bench_named('convx'), 'did you mean convex')])
+    (lambda: bench_dp.measure_dp(0, False, quiet), 'repeats must be at least 1, got 0'),
+    (lambda: benches.bench_named('convx'), 'did you mean convex')])
 def test_bad_arguments_are_named(call, said):
     with pytest.raises(ParameterError, match=said):
         call()
+
+
+@pytest.mark.parametrize('order', bench_dp.ORDERS)
+@pytest.mark.parametrize('v_max', bench_dp.SPEEDS)
+def test_numpy_and_compiled_merit_functions_are_equal(order, v_max):
+    frames = np.random.default_rng(1).standard_normal((9, 20, 23)).astype(np.float32)
+    np.testing.assert_allclose(numpy_merit_functions(frames, order, v_max),
+                               merit_functions(frames, f'{order}_dp', v_max), rtol=1e-5)
+
+
+def test_dynamic_programming_is_measured_beside_numpy_and_the_paper(monkeypatch):
+    monkeypatch.setattr(bench_dp, 'N_FRAMES', 4)
+    monkeypatch.setattr(bench_dp, 'N_FRAMES_NUMPY', 4)
+    measured = bench_dp.measure_dp(1, False, quiet)
+    assert json.loads(json.dumps(measured)) == measured
+    assert [(case['order'], case['n_candidates']) for case in measured['cases']] == [
+        ('cfo', 9), ('cso', 49), ('mff', 49), ('cfo', 25), ('cso', 165), ('mff', 165)]
+    for case in measured['cases']:
+        assert [(one['method'][3:], one['threads']) for one in case['methods']] == [
+            ('_dp', 1), ('_dp', 2), ('_dpr', 1), ('_dpr', 2)]
+        assert all(one['per_frame']['wall_s']['min'] > 0 for one in case['methods'])
+    text = bench_dp.dp_table(measured)
+    assert 'mff_dpr' in text and '449' in text and describe_machine()['processor'] in text

@@ -6,20 +6,19 @@ take turns, so that whatever else the machine does falls on all of them alike.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 import dataclasses
-import difflib
 import multiprocessing
 import resource
 import signal
 import sys
-import time
 from typing import Any
 
 import numpy as np
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.evaluation.machine import describe_machine, machine_line
+from track_before_detect.evaluation.timing import summary, timed
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
@@ -56,6 +55,11 @@ def convex_cases(large: bool) -> list[Case]:
     sizes = [_SMALL, _LARGE] if large else [_SMALL]
     return [Case(name, scenario, {**size, **overrides})
             for size in sizes for name, scenario, overrides in _SCENES]
+
+
+def measure_convex(repeats: int, large: bool, progress: Progress) -> dict[str, Any]:
+    """Measure the standard cases; parameters as below and in :func:`convex_cases`."""
+    return bench_convex(repeats, convex_cases(large), progress)
 
 
 def bench_convex(repeats: int, cases: Sequence[Case], progress: Progress) -> dict[str, Any]:
@@ -112,12 +116,12 @@ def _measure_detection(made, options, repeats):
     before = _peak_memory()
     detector = ConvexDetector(options)
     result = detector.detect(made.frames, made.stamps)
-    [seconds] = _timed([lambda: detector.detect(made.frames, made.stamps)], repeats)
+    [seconds] = timed([lambda: detector.detect(made.frames, made.stamps)], repeats)
     return {
         'n_trajectories': len(result.found),
         'peak_memory_bytes': _peak_memory(),
         'peak_memory_before_bytes': before,
-        'detection': _summary(seconds),
+        'detection': summary(seconds),
     }
 
 
@@ -133,7 +137,7 @@ def _measure_stages(made, options, repeats):
     table = np.ones((graph.n_segments, n_y, graph.n_velocities, n_x), np.float32)
     # A first copy makes the system hand out the memory.
     copy = table.copy()
-    filtering, searching, copying = _timed(
+    filtering, searching, copying = timed(
         [lambda: search.scores(made.frames), lambda: search.run(scores),
          lambda: np.copyto(copy, table)], repeats)
     n_frame_states = graph.n_frames * graph.n_velocities * n_y * n_x
@@ -145,9 +149,9 @@ def _measure_stages(made, options, repeats):
         'n_states': table.size,
         'n_frame_states': n_frame_states,
         'table_bytes': table.nbytes,
-        'matched_filter': _summary(filtering),
-        'path_search': _summary(searching),
-        'table_copy': _summary(copying),
+        'matched_filter': summary(filtering),
+        'path_search': summary(searching),
+        'table_copy': summary(copying),
         'path_search_states_per_s': float(table.size / least),
         'path_search_frame_states_per_s': float(n_frame_states / least),
         'path_search_over_copy': {
@@ -186,37 +190,6 @@ def bench_table(measured: Mapping[str, Any]) -> str:
         f'{machine_line()}.',
     ]
     return '\n'.join(lines)
-
-
-BENCHES: dict[str, Callable[[int, Sequence[Case], Progress], dict[str, Any]]] = {
-    'convex': bench_convex,
-}
-
-
-def bench_named(name: str) -> Callable[[int, Sequence[Case], Progress], dict[str, Any]]:
-    """Return a bench, or say which there are."""
-    if name not in BENCHES:
-        close = difflib.get_close_matches(name, BENCHES, n=1)
-        hint = f'did you mean {close[0]}?' if close else f'known: {", ".join(BENCHES)}'
-        raise ParameterError(f'unknown bench {name!r}; {hint}')
-    return BENCHES[name]
-
-
-def _timed(stages, repeats):
-    """Return wall and CPU seconds of stages that take turns, shape (stages, repeats, 2)."""
-    seconds = np.empty((len(stages), repeats, 2))
-    for repeat in range(repeats):
-        for number, stage in enumerate(stages):
-            wall, cpu = time.perf_counter(), time.process_time()
-            stage()
-            seconds[number, repeat] = time.perf_counter() - wall, time.process_time() - cpu
-    return seconds
-
-
-def _summary(seconds):
-    return {clock: {'min': float(seconds[:, column].min()),
-                    'median': float(np.median(seconds[:, column]))}
-            for column, clock in enumerate(('wall_s', 'cpu_s'))}
 
 
 def _ms(times):

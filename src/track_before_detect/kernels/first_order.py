@@ -2,8 +2,10 @@
 
 Layout of every array
 ---------------------
-merit, frames : float32 (T, H, W)
-    Merit function and observations.
+frames : float32 (T, H, W)
+    Observations.
+merit : float32 (K, H, W)
+    Merit function; frame t is in plane t % K.
 
 The largest value of a square of pixels is the largest of its rows of the largest of its columns,
 so a step costs about 2 log2(2 v_max + 1) comparisons a pixel in place of (2 v_max + 1)^2. The
@@ -41,10 +43,10 @@ def _raise_to_later(row, later, n):
 
 
 @numba.njit(**_COMPILE)
-def _add_larger(out, o, frames, row, later, n):
+def _add_larger(out, o, frames, a, row, later, n):
     for x in range(_U(n)):
         largest = row[x] if row[x] > row[x + later] else row[x + later]
-        out[o + x] = frames[o + x] + largest
+        out[o + x] = frames[a + x] + largest
 
 
 @numba.njit(**_COMPILE)
@@ -54,9 +56,10 @@ def accumulate(merit, frames, start, n_steps, step, v_max, first_row, last_row):
     For t = start, start + step, ... in ``n_steps`` steps; ``step`` is 1 or -1. Rows
     ``first_row`` to ``last_row`` of the last of these frames are written, and of the others as
     many more as they depend on, so that bands of rows can be worked on apart from each other:
-    where two bands write the same number it has the same value.
+    where two bands write the same number it has the same value. The planes of these frames and of
+    the one before have to be different ones.
     """
-    _, n_y, n_x = merit.shape
+    n_planes, n_y, n_x = merit.shape
     flat = merit.reshape(merit.size)
     flat_frames = frames.reshape(frames.size)
     row = np.full(n_x + 2 * v_max, ABSENT)
@@ -65,7 +68,7 @@ def accumulate(merit, frames, start, n_steps, step, v_max, first_row, last_row):
         t = start + k * step
         more = v_max * (n_steps - 1 - k)
         for y in range(max(0, first_row - more), min(n_y, last_row + more)):
-            before = (t - step) * n_y
+            before = (t - step) % n_planes * n_y
             # A row beyond the border counts as the nearest one inside, which is in the window.
             here = _U((before + y) * n_x)
             row[:v_max] = ABSENT
@@ -84,5 +87,5 @@ def accumulate(merit, frames, start, n_steps, step, v_max, first_row, last_row):
             while 2 * covered <= width:
                 _raise_to_later(row, _U(covered), n_x + 2 * v_max - covered)
                 covered *= 2
-            _add_larger(flat, _U((t * n_y + y) * n_x), flat_frames, row, _U(width - covered),
-                        n_x)
+            _add_larger(flat, _U((t % n_planes * n_y + y) * n_x), flat_frames,
+                        _U((t * n_y + y) * n_x), row, _U(width - covered), n_x)

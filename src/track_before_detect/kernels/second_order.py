@@ -2,8 +2,10 @@
 
 Layout of every array
 ---------------------
-merit, frames : float32 (T, H, W)
-    Merit function and observations.
+frames : float32 (T, H, W)
+    Observations.
+merit : float32 (L, H, W)
+    Merit function; frame t is in plane t % L.
 states : uint32 or uint64 (K + 1, H, W)
     Velocities that match the one chosen in each pixel, one bit for each value of v_x in the lower
     half and of v_y in the upper half; frame t is in plane t % K. A chosen velocity leaves the
@@ -78,9 +80,9 @@ def _keep_first(best, kept, o, before, second, states, b, s, needed, n):
 
 
 @numba.njit(**_COMPILE)
-def _add_scaled(out, o, frames, best, factor, n):
+def _add_scaled(out, o, frames, a, best, factor, n):
     for x in range(_U(n)):
-        out[o + x] = frames[o + x] + factor * best[x]
+        out[o + x] = frames[a + x] + factor * best[x]
 
 
 @numba.njit(**_COMPILE)
@@ -107,7 +109,8 @@ def accumulate(merit, states, first, second, frames, start, n_steps, step, veloc
     bands write the same number it has the same value. The planes of these frames and of the two
     before have to be different ones.
     """
-    _, n_y, n_x = merit.shape
+    n_merits, n_y, n_x = merit.shape
+    n_firsts, n_seconds = first.shape[0], second.shape[0]
     n_planes = states.shape[0] - 1
     out, out_states = merit.reshape(merit.size), states.reshape(states.size)
     flat_first, flat_second = first.reshape(first.size), second.reshape(second.size)
@@ -137,7 +140,7 @@ def accumulate(merit, states, first, second, frames, start, n_steps, step, veloc
                 if n <= 0:
                     continue
                 row, column = y - (move_y >> 1), x - (move_x >> 1)
-                a = _U(((t - step) * n_y + row) * n_x + column)
+                a = _U(((t - step) % n_firsts * n_y + row) * n_x + column)
                 s = _U((plane_1 + row) * n_x + column)
                 # A half in one component rounds to two pixels, a half in both to four.
                 if move_x & 1:
@@ -149,14 +152,14 @@ def accumulate(merit, states, first, second, frames, start, n_steps, step, veloc
                     _best_of_two(before, flat_first, out_states, a, s, _U(n_x), needed[v], n)
                 else:
                     _one(before, flat_first, out_states, a, s, needed[v], n)
-                a = _U(((t - 2 * step) * n_y + y - move_y) * n_x + x - move_x)
+                a = _U(((t - 2 * step) % n_seconds * n_y + y - move_y) * n_x + x - move_x)
                 s = _U((plane_2 + y - move_y) * n_x + x - move_x)
                 if going_on == FIRST:
                     _keep_first(best, kept, _U(x), before, flat_second, out_states, a, s,
                                 needed[v], n)
                 _take_better(best, best_states, _U(x), before, flat_second, out_states, a, s,
                              needed[v], chosen[v], n)
-            _add_scaled(out, _U((t * n_y + y) * n_x), flat_frames,
-                        kept if going_on == FIRST else best,
+            _add_scaled(out, _U((t % n_merits * n_y + y) * n_x), flat_frames,
+                        _U((t * n_y + y) * n_x), kept if going_on == FIRST else best,
                         np.float32(0.5) if going_on == MEAN else np.float32(1), n_x)
             _copy(out_states, _U((t % n_planes * n_y + y) * n_x), best_states, n_x)

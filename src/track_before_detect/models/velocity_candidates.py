@@ -12,6 +12,10 @@ import itertools
 import numpy as np
 from numpy.typing import NDArray
 
+# The bits of an integer limit how many values a component of a velocity can have.
+FASTEST_SECOND_ORDER = 7
+FASTEST_IN_32_BITS = 3
+
 
 def whole_velocities(v_max: int) -> NDArray[np.int64]:
     """Return the velocities (px/frame) of a first-order method, slowest first, shape (n, 2).
@@ -52,6 +56,35 @@ def straight_lines(v_max: int) -> NDArray[np.int64]:
         for step_x, step_y in itertools.product(*rounded):
             lines.append((velocity, (step_x, step_y), velocity))
     return np.array(lines, np.int64)
+
+
+def matching_bits(velocities: NDArray, v_max: int) -> tuple[NDArray, NDArray]:
+    """Return integers that tell by their bits which velocities match (Eq. 4).
+
+    Every value of a component has a bit, those of x in the lower and those of y in the upper half.
+
+    Parameters
+    ----------
+    velocities : array of int, shape (n, 2)
+        In half pixels per frame, both components at most twice ``v_max``.
+    v_max : int
+        At most ``FASTEST_SECOND_ORDER`` pixels per frame.
+
+    Returns
+    -------
+    needed, chosen : array of uint32 or uint64, shape (n,)
+        The two bits of each velocity, and the bits within half a pixel per frame of it in either
+        component: two velocities match where ``needed`` of one is in ``chosen`` of the other.
+    """
+    dtype = np.uint32 if v_max <= FASTEST_IN_32_BITS else np.uint64
+    half = 4 * np.dtype(dtype).itemsize
+    within = (1 << (4 * v_max + 1)) - 1
+    needed, chosen = [], []
+    for x, y in (velocities + 2 * v_max).tolist():
+        needed.append(1 << x | 1 << (y + half))
+        near_x, near_y = ((7 << bit >> 1) & within for bit in (x, y))
+        chosen.append(near_x | near_y << half)
+    return np.array(needed, dtype), np.array(chosen, dtype)
 
 
 def _slowest_first(velocities):

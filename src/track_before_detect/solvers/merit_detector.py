@@ -17,6 +17,7 @@ from scipy.ndimage import correlate1d
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.velocity_candidates import FASTEST_SECOND_ORDER
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
@@ -27,7 +28,7 @@ from track_before_detect.solvers.batch_detector import (
 from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.crossings import regularised
 from track_before_detect.solvers.dynamic_programming import extracted
-from track_before_detect.solvers.merit_functions import FASTEST_SECOND_ORDER, METHODS
+from track_before_detect.solvers.merit_functions import METHODS
 from track_before_detect.solvers.threshold import NoiseStudy
 from track_before_detect.types import Progress
 

@@ -24,22 +24,26 @@ its fourth frame (beyond its first for the first order).
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from functools import partial
+import itertools
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.kernels import first_order, second_order
-from track_before_detect.models.velocity_candidates import half_velocities
+from track_before_detect.kernels import first_order, ring, second_order
+from track_before_detect.models.velocity_candidates import (
+    FASTEST_SECOND_ORDER,
+    half_velocities,
+    matching_bits,
+)
 
-# Bits for the values of one velocity component limit how fast a second-order search can be.
-FASTEST_SECOND_ORDER = 7
-FASTEST_IN_32_BITS = 3
 # Frames that are worked on before threads wait for each other, and the share of its rows that a
 # band may compute a second time because of it.
-MOST_FRAMES_IN_BLOCK = 16
+MOST_FRAMES_IN_BLOCK = 8
 REPEATED_ROWS = 0.1
 
 
@@ -96,69 +100,85 @@ def merit_functions(observations: NDArray, method: str, v_max: int,
     """
     chosen = _checked(observations, method, v_max)
     frames = np.ascontiguousarray(observations, np.float32)
-    accumulate = _FirstOrder if chosen.order == 'cfo' else _SecondOrder
-    passes = accumulate(frames, chosen.order, v_max, n_threads)
-    forward = np.empty_like(frames)
-    passes.begin(forward)
-    passes.run(forward, passes.memory, len(frames), 1)
-    if not chosen.ring:
-        return forward
-    backward = np.empty_like(frames)
-    backward[-passes.memory:] = forward[-passes.memory:]
-    passes.run(backward, len(frames) - 1 - passes.memory, -1, -1)
-    forward[:passes.memory] = backward[:passes.memory]
-    passes.run(forward, passes.memory, min(passes.memory + passes.again, len(frames)), 1)
-    forward += backward
-    forward *= np.float32(0.5)
-    return forward
+    passes = (_FirstOrder if chosen.order == 'cfo' else _SecondOrder)(
+        frames, chosen.order, v_max, n_threads)
+    merit = np.empty_like(frames)
+    merit[:passes.memory] = frames[:passes.memory]
+    passes.run(merit, passes.memory, len(frames), 1)
+    if chosen.ring:
+        passes.close_ring(merit)
+    return merit
 
 
-class _Passes:
-    """What both orders share: bands of rows on threads, blocks of frames."""
+class _Passes(ABC):
+    """What both orders share: bands of rows on threads, blocks of frames, the ring."""
+
+    # Frames that a step looks back, and steps that Algorithm 1 makes after it turned again.
+    memory: int
+    again: int
 
     def __init__(self, frames, v_max, n_threads):
         self.frames = frames
-        self.v_max = v_max
         n_y = frames.shape[1]
         self._n_bands = max(1, min(n_threads, n_y // max(1, 8 * v_max)))
-        self._block = MOST_FRAMES_IN_BLOCK
+        self.block = MOST_FRAMES_IN_BLOCK
         if self._n_bands > 1:
             rows = n_y / self._n_bands
-            self._block = int(np.clip(2 * REPEATED_ROWS * rows / max(v_max, 1), 1, self._block))
+            self.block = int(np.clip(2 * REPEATED_ROWS * rows / max(v_max, 1), 1, self.block))
 
-    def over_bands(self, start, stop, step, work):
-        """Call work(first frame, number of frames, first row, last row) for all frames."""
+    @abstractmethod
+    def run(self, merit, start, stop, step, *then):
+        """Write the merit of the frames from start to stop, ``then`` do more in each block."""
+
+    def close_ring(self, merit):
+        """Go on backward from a forward pass and write the means over it."""
+        n_frames = len(merit)
+        n_planes = self.memory + max(self.block, self.again)
+        backward = np.empty((n_planes, *merit.shape[1:]), np.float32)
+        for t in range(n_frames - self.memory, n_frames):
+            backward[t % n_planes] = merit[t]
+
+        def average(first, n_steps, step, low, high):
+            ring.average(merit, backward, first, n_steps, step, low, high)
+
+        self.run(backward, n_frames - 1 - self.memory, -1, -1,
+                 lambda first, n_steps, low, high: average(first, n_steps, -1, low, high))
+        merit[:self.memory] = backward[:self.memory]
+        stop = min(self.memory + self.again, n_frames)
+        self.run(merit, self.memory, stop, 1)
+        average(self.memory, stop - self.memory, 1, 0, merit.shape[1])
+
+    def over_bands(self, start, stop, step, *works):
+        """Call each work(first frame, number of frames, first row, last row) for all frames."""
         n_y = self.frames.shape[1]
-        blocks = [(first, min(self._block, abs(stop - first)))
-                  for first in range(start, stop, step * self._block)]
+        blocks = [(first, min(self.block, abs(stop - first)))
+                  for first in range(start, stop, step * self.block)]
         if self._n_bands == 1:
-            for first, n_steps in blocks:
-                work(first, n_steps, 0, n_y)
+            for block, work in itertools.product(blocks, works):
+                work(*block, 0, n_y)
             return
         bounds = np.linspace(0, n_y, self._n_bands + 1).astype(int)
         with ThreadPoolExecutor(self._n_bands) as pool:
-            for first, n_steps in blocks:
-                list(pool.map(lambda low, high, first=first, n_steps=n_steps: work(
-                    first, n_steps, low, high), bounds[:-1], bounds[1:]))
+            for block, work in itertools.product(blocks, works):
+                list(pool.map(partial(work, *block), bounds[:-1], bounds[1:]))
 
 
 class _FirstOrder(_Passes):
     """Passes of cfo_dp."""
 
-    # Frames that a step looks back, and steps that Algorithm 1 makes after it turned again.
     memory = 1
     again = 0
 
     def __init__(self, frames, order, v_max, n_threads):
         super().__init__(frames, v_max, n_threads)
+        self._v_max = v_max
 
-    def begin(self, merit):
-        merit[0] = self.frames[0]
+    def run(self, merit, start, stop, step, *then):
+        def work(first, n_steps, low, high):
+            first_order.accumulate(merit, self.frames, first, n_steps, step, self._v_max, low,
+                                   high)
 
-    def run(self, merit, start, stop, step):
-        self.over_bands(start, stop, step, lambda first, n_steps, low, high:
-                        first_order.accumulate(merit, self.frames, first, n_steps, step,
-                                               self.v_max, low, high))
+        self.over_bands(start, stop, step, work, *then)
 
 
 class _SecondOrder(_Passes):
@@ -170,21 +190,18 @@ class _SecondOrder(_Passes):
     def __init__(self, frames, order, v_max, n_threads):
         super().__init__(frames, v_max, n_threads)
         self._order = order
-        dtype = np.uint32 if v_max <= FASTEST_IN_32_BITS else np.uint64
         # The states hold velocities of forward time; passed through backward, the same candidates
         # in the same order have the opposite ones.
         self._candidates = {
             step: (step * half_velocities(v_max),
-                   *_velocity_bits(step * half_velocities(v_max), v_max, dtype))
+                   *matching_bits(step * half_velocities(v_max), v_max))
             for step in (1, -1)}
-        n_planes = self._block + self.memory
+        dtype = self._candidates[1][1].dtype
+        n_planes = self.block + self.memory
         self._states = np.full((n_planes + 1, *frames.shape[1:]), np.iinfo(dtype).max, dtype)
         self._begun = False
 
-    def begin(self, merit):
-        merit[:2] = self.frames[:2]
-
-    def run(self, merit, start, stop, step):
+    def run(self, merit, start, stop, step, *then):
         if not self._begun:
             # Without known velocities two frames are begun from the observations (Eq. 6).
             self._begun = True
@@ -192,29 +209,17 @@ class _SecondOrder(_Passes):
             going_on = second_order.MEAN if self._order == 'mff' else second_order.SUM
             self._accumulate(merit, self.frames, self.frames, start, begun, step, False, going_on)
             start = begun
-        if self._order == 'mff':
-            self._accumulate(merit, merit, merit, start, stop, step, True, second_order.MEAN)
-        else:
-            self._accumulate(merit, merit, self.frames, start, stop, step, True,
-                             second_order.FIRST)
+        averaging = self._order == 'mff'
+        self._accumulate(merit, merit, merit if averaging else self.frames, start, stop, step,
+                         True, second_order.MEAN if averaging else second_order.FIRST, *then)
 
-    def _accumulate(self, merit, first, second, start, stop, step, matching, going_on):
-        self.over_bands(start, stop, step, lambda frame, n_steps, low, high:
-                        second_order.accumulate(
-                            merit, self._states, first, second, self.frames, frame, n_steps, step,
-                            *self._candidates[step], matching, going_on, low, high))
+    def _accumulate(self, merit, first, second, start, stop, step, matching, going_on, *then):
+        def work(frame, n_steps, low, high):
+            second_order.accumulate(
+                merit, self._states, first, second, self.frames, frame, n_steps, step,
+                *self._candidates[step], matching, going_on, low, high)
 
-
-def _velocity_bits(velocities, v_max, dtype):
-    """Return the bits that each velocity needs, and those it leaves when chosen."""
-    half = 4 * np.dtype(dtype).itemsize
-    within = (1 << (4 * v_max + 1)) - 1
-    needed, chosen = [], []
-    for x, y in (velocities + 2 * v_max).tolist():
-        needed.append(1 << x | 1 << (y + half))
-        near_x, near_y = ((7 << bit >> 1) & within for bit in (x, y))
-        chosen.append(near_x | near_y << half)
-    return np.array(needed, dtype), np.array(chosen, dtype)
+        self.over_bands(start, stop, step, work, *then)
 
 
 def _checked(observations, method, v_max):

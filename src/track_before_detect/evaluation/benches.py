@@ -1,0 +1,45 @@
+"""What ``tbd bench`` can measure, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+import difflib
+from typing import Any
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation.bench import bench_table, measure_convex
+from track_before_detect.evaluation.bench_dp import dp_table, measure_dp
+from track_before_detect.types import Progress
+
+
+@dataclass(frozen=True)
+class Bench:
+    """One bench.
+
+    Attributes
+    ----------
+    measure : callable
+        Told the number of measurements of each stage, whether to measure large frames too, and
+        whom to tell of the progress; returns the measurements as plain numbers.
+    table : callable
+        Returns the measurements as text.
+    """
+
+    measure: Callable[[int, bool, Progress], dict[str, Any]]
+    table: Callable[[Mapping[str, Any]], str]
+
+
+BENCHES: dict[str, Bench] = {
+    'convex': Bench(measure_convex, bench_table),
+    'dp': Bench(measure_dp, dp_table),
+}
+
+
+def bench_named(name: str) -> Bench:
+    """Return a bench, or say which there are."""
+    if name not in BENCHES:
+        close = difflib.get_close_matches(name, BENCHES, n=1)
+        hint = f'did you mean {close[0]}?' if close else f'known: {", ".join(BENCHES)}'
+        raise ParameterError(f'unknown bench {name!r}; {hint}')
+    return BENCHES[name]
