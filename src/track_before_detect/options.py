@@ -69,6 +69,10 @@ class DetectorOptions:
     doppler_offset_bins: float = _option(
         0.0, 'Of motion_model range_doppler: column of zero Doppler less the middle column, which '
         'is half the number of columns, rounded down.', kind='number', unit='px')
+    presence: str = _option(
+        'full', 'Whether a target is there in all frames of a batch, or may enter and leave '
+        '(partial), which is then found, at the cost of slightly dimmer targets.', kind='text',
+        choices=('full', 'partial'))
     amplitudes: str = _option(
         'non-negative', 'Sign of a target beside the background.', kind='text',
         choices=('non-negative', 'signed'))

@@ -41,7 +41,7 @@ def test_rows_of_every_path_follow_its_columns(name, k, acceleration):
     slack = 1.5 + (abs(k) * 0.5 + 1.0) * (half_time + 0.5)
     checked = 0
     for positions, _ in naive.every_path(graph, plane.shape):
-        x, y = plane.restore(positions).T * graph.step_px
+        x, y = plane.restore(positions, np.arange(len(positions))).T * graph.step_px
         rate = k * (x - 4.0)
         expected = np.append(0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(stamps)))
         assert np.abs(y - y[0] - expected).max() < slack * graph.step_px
@@ -64,7 +64,7 @@ def test_search_finds_the_best_of_all_paths(k, acceleration):
     plane = ShearedPlane(graph, shape)
     best = -np.inf
     for positions, cost in naive.every_path(graph, plane.shape):
-        x, y = plane.restore(positions).astype(int).T
+        x, y = plane.restore(positions, np.arange(len(positions))).astype(int).T
         if (y >= 0).all() and (y < shape[0]).all():
             best = max(best, plain[range(4), y, x].sum() - cost)
     value, [found, *_] = search.best_paths(frames, 0.0, 1.0, lambda _: True, 1)

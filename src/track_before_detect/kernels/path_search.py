@@ -37,7 +37,8 @@ _U = np.uint64
 
 
 @numba.njit(**_COMPILE)
-def _fill(out, o, n, value):
+def fill_row(out, o, n, value):
+    """Write ``value`` to out[o + x]."""
     for x in range(_U(n)):
         out[o + x] = value
 
@@ -109,9 +110,9 @@ def shifted_row(out, o, value, row, y, n_y, n_x, move_x, move_y, start, stop):
     last = max(min(stop, n_x - move_x), first)
     if y + move_y < 0 or y + move_y >= n_y:
         last = first
-    _fill(out, o + _U(start), first - start, ABSENT)
+    fill_row(out, o + _U(start), first - start, ABSENT)
     copy_row(out, o + _U(first), value, _U(row + first + move_x), last - first)
-    _fill(out, o + _U(last), stop - last, ABSENT)
+    fill_row(out, o + _U(last), stop - last, ABSENT)
 
 
 @numba.njit(**_COMPILE)
@@ -184,13 +185,13 @@ def best_turn_x(turns, o, flat, row, i, n_v, n_x, start, n, reach, cost):
     elif 0 <= i < n_v:
         copy_row(turns, o, flat, _U(here + i * n_x), n)
     else:
-        _fill(turns, o, n, ABSENT)
+        fill_row(turns, o, n, ABSENT)
     for k in range(nearest, reach + 1):
         _raise_from_sides(turns, o, flat, here, n_x, i, n_v, k, n, cost)
 
 
 @numba.njit(**_COMPILE)
-def _best_turn_y(out, o, turns, column, stride, r, n_rows, n, reach, cost):
+def best_turn_y(out, o, turns, column, stride, r, n_rows, n, reach, cost):
     """Write to out[o + x] the best within ``reach`` rows of ``turns``, less ``cost`` a row."""
     nearest = 1
     if 1 <= r < n_rows - 1:
@@ -222,7 +223,7 @@ def extend(flat, o, turns, column, stride, r, n_rows, reach, cost, starting, sco
     """
     done = 0
     if starting:
-        _fill(flat, o, n, np.float32(0))
+        fill_row(flat, o, n, np.float32(0))
     elif reach == 1 and 1 <= r < n_rows - 1 and offsets.shape[1] >= 3:
         # The common case in one loop, which spares a pass over the row.
         _turn_and_add_three(
@@ -231,7 +232,7 @@ def extend(flat, o, turns, column, stride, r, n_rows, reach, cost, starting, sco
             _U(start + offsets[v, 1]), _U(start + offsets[v, 2]), n)
         done = 3
     else:
-        _best_turn_y(flat, o, turns, column, stride, r, n_rows, n, reach, cost)
+        best_turn_y(flat, o, turns, column, stride, r, n_rows, n, reach, cost)
     _add_scores(flat, o, scores, offsets, v, start, n, done)
 
 
@@ -272,10 +273,10 @@ def forward_segment(value, before, scores, moves, end_moves_before, first_frame,
                 o = _U(block + v * n_x)
                 first, last = extents[v, 0], extents[v, 1]
                 if y < extents[v, 2] or y >= extents[v, 3] or last <= first:
-                    _fill(flat, o, n_x, ABSENT)
+                    fill_row(flat, o, n_x, ABSENT)
                     continue
-                _fill(flat, o, first, ABSENT)
-                _fill(flat, o + _U(last), n_x - last, ABSENT)
+                fill_row(flat, o, first, ABSENT)
+                fill_row(flat, o + _U(last), n_x - last, ABSENT)
                 column = (row_x[r] + v - row_first[r]) * n_x + first
                 extend(flat, o + _U(first), turns, column, stride, r, n_rows, reach, cost,
                         starting, flat_scores, offsets, v, y * n_x + first, last - first)

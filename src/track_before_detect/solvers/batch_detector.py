@@ -23,13 +23,13 @@ class FoundTrajectory:
     Attributes
     ----------
     positions : array, shape (T, 2)
-        x and y in pixels of the prepared frames.
+        x and y in pixels of the prepared frames; NaN where the target is absent.
     amplitudes : array, shape (T,)
-        In units of the noise standard deviation.
+        In units of the noise standard deviation; NaN where it is absent.
     statistic : float
         What is compared with the threshold.
     snr : float
-        Mean over frames of the statistic of one frame.
+        Mean of the statistic of one frame over those in which the target is present.
     """
 
     positions: NDArray[np.float64]

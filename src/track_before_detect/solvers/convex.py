@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
+from track_before_detect.solvers.partial_refinement import PartialRefiner
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refinement import Refiner
 from track_before_detect.solvers.subspace_pursuit import pursue, PursuitSettings
@@ -16,10 +17,12 @@ class ConvexDetector(PathDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
         paths = task.paths
-        refiner = Refiner(task.graph, self.psf, task.times, task.weights, self.model)
+        shared = (task.graph, self.psf, task.times, task.weights, self.model)
+        refiner = PartialRefiner(*shared, self.presence) if self.presence else Refiner(*shared)
         result = pursue(task.search, refiner, paths, 3 * self.psf.width_px,
                         PursuitSettings(self.options.continuation))
-        return BatchResult(self._collect(paths), paths.threshold, result.status, result.history,
+        threshold = self.statistic(self.model.value(paths.threshold), len(task.times))
+        return BatchResult(self._collect(paths), threshold, result.status, result.history,
                            result.gap)
 
     def _collect(self, paths):
@@ -27,9 +30,11 @@ class ConvexDetector(PathDetector):
         for path in range(len(paths)):
             seen = paths.seen(path)
             model = paths.model
-            # Less the cost of its turns, so that every statistic meets the same threshold.
+            present = self.present(paths.positions[path], seen)
+            # Less its cost, so that every statistic meets the same threshold.
             value = model.value(model.statistic(seen)) - paths.costs[path]
             found.append(FoundTrajectory(
-                paths.positions[path], paths.amplitudes[path].copy(), model.from_value(value),
-                float(np.mean(seen))))
+                np.where(present[:, None], paths.positions[path], np.nan),
+                np.where(present, paths.amplitudes[path], np.nan),
+                self.statistic(value, len(seen)), float(np.mean(seen[present]))))
         return sorted(found, key=lambda trajectory: -trajectory.statistic)

@@ -45,7 +45,11 @@ class GreedyDetector(PathDetector):
             # Without a weight this is the least-squares fit within the amplitude model.
             shrink(amplitudes, 0.0, model.code)
             paths.assign(np.array([added]), amplitudes[None])
-            found.append(FoundTrajectory(path.positions, amplitudes, model.from_value(path.value),
-                                         float(np.mean(seen))))
+            present = self.present(path.positions, seen)
+            found.append(FoundTrajectory(
+                np.where(present[:, None], path.positions, np.nan),
+                np.where(present, amplitudes, np.nan),
+                self.statistic(path.value, len(seen)), float(np.mean(seen[present]))))
         found.sort(key=lambda trajectory: -trajectory.statistic)
-        return BatchResult(found, paths.threshold, status, history, float('nan'))
+        threshold = self.statistic(model.value(paths.threshold), len(task.times))
+        return BatchResult(found, threshold, status, history, float('nan'))

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
+from track_before_detect.models.presence import frames_seen_in, presence_for
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.range_doppler import build_range_doppler_graph
 from track_before_detect.models.state_graph import (
@@ -25,6 +26,7 @@ from track_before_detect.solvers.batch_detector import (
     median_interval,
 )
 from track_before_detect.solvers.cores import usable_cores
+from track_before_detect.solvers.partial_search import PartialSearch
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
 from track_before_detect.solvers.threshold import NoiseStudy
@@ -82,6 +84,7 @@ class PathDetector(BatchDetector):
         self.psf = GaussianPsf(options.psf_sigma_px)
         self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
         _check_motion(options)
+        self.presence = presence_for(self.model) if options.presence == 'partial' else None
         self._search: tuple[tuple, PathSearch] | None = None
         self._warned = False
 
@@ -167,15 +170,15 @@ class PathDetector(BatchDetector):
         graph = self.graph(stamps, shape)
 
         def searcher(crop):
-            search = PathSearch(graph, self.psf, crop, self.model)
+            search = self._new_search(graph, crop, 1)
 
             def largest(generator):
                 noise = generator.standard_normal((graph.n_frames, *crop), dtype=np.float32)
-                return self.model.from_value(search.best_value(noise))
+                return self.statistic(search.best_value(noise), graph.n_frames)
 
             return largest
 
-        return NoiseStudy(f'{graph.fingerprint()} {self.psf.key} {self.model}',
+        return NoiseStudy(f'{graph.fingerprint()} {self.psf.key} {self.model} {self.presence}',
                           graph.effective_area, searcher, graph.coupling is not None)
 
     def detect(self, frames: NDArray, stamps: NDArray,
@@ -192,8 +195,48 @@ class PathDetector(BatchDetector):
         search = self._path_search(graph, shape, weights)
         if weights is None:
             weights = np.zeros((0, 0, 0), np.float32)
-        paths = PathSet(clean, weights, self.psf, threshold, self.model)
+        paths = PathSet(clean, weights, self.psf, self._weight(threshold, len(frames)),
+                        self.model)
         return self.solve(Task(graph, search, paths, regular_stamps(stamps), weights))
+
+    def statistic(self, value: float, n_frames: int) -> float:
+        """Return the statistic of a path that is compared with the threshold.
+
+        It is that of a path of equal value which is present in every frame, so that a threshold
+        means the same whether targets may enter and leave or not.
+        """
+        whole = self.presence.whole_cost(n_frames) if self.presence else 0.0
+        return self.model.from_value(value + whole)
+
+    def present(self, positions: NDArray, seen: NDArray) -> NDArray[np.bool_]:
+        """Return in which frames (T,) the target of a path is reported.
+
+        Parameters
+        ----------
+        positions : array, shape (T, 2)
+            NaN where the path is absent.
+        seen : array, shape (T,)
+            Statistic of each frame along it.
+        """
+        present = np.isfinite(positions[:, 0])
+        if self.presence is not None:
+            [frames] = np.nonzero(present)
+            inside = seen[frames] if self.model.code == NON_NEGATIVE else np.abs(seen[frames])
+            first, last = frames_seen_in(inside)
+            present[:frames[first]] = False
+            present[frames[last] + 1:] = False
+        return present
+
+    def _weight(self, threshold, n_frames):
+        """Return lambda of a path without any cost."""
+        if self.presence is None:
+            return threshold
+        whole = self.presence.whole_cost(n_frames)
+        if threshold**2 <= whole:
+            raise ParameterError(
+                f'threshold must be above {whole**0.5:.3g} for batches of {n_frames} frames with '
+                f'presence partial, got {threshold:g}')
+        return (threshold**2 - whole)**0.5
 
     @abstractmethod
     def solve(self, task: Task) -> BatchResult:
@@ -203,9 +246,14 @@ class PathDetector(BatchDetector):
         """Return the search for these paths, with its tables where the last one had them."""
         key = (shape, graph.fingerprint())
         if self._search is None or self._search[0] != key:
-            self._search = (key, PathSearch(graph, self.psf, shape, self.model, usable_cores()))
+            self._search = (key, self._new_search(graph, shape, usable_cores()))
         self._search[1].set_weights(weights)
         return self._search[1]
+
+    def _new_search(self, graph, shape, n_threads):
+        if self.presence is None:
+            return PathSearch(graph, self.psf, shape, self.model, n_threads)
+        return PartialSearch(graph, self.psf, shape, self.model, self.presence, n_threads)
 
 
 def _check_motion(options):

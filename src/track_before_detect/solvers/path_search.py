@@ -156,5 +156,5 @@ class PathSearch:
             cost += float(turn[chosen])
             velocity, x, y = int(near[chosen]), int(from_x[chosen]), int(from_y[chosen])
         if self._plane:
-            positions = self._plane.restore(positions)
+            positions = self._plane.restore(positions, np.arange(len(positions)))
         return FoundPath(positions * graph.step_px, value, cost)

@@ -45,9 +45,9 @@ class PathSet:
     Attributes
     ----------
     positions : list of array, shape (T, 2)
-        x and y in pixels of each path.
+        x and y in pixels of each path, NaN where it is absent.
     costs : list of float
-        Cost of the turns, which raises lambda of the path.
+        Cost of the turns and of being present, which raises lambda of the path.
     settled : list of bool
         Whether a path was refined where it is, apart from all others.
     amplitudes : array, shape (P, T)
@@ -199,8 +199,9 @@ class PathSet:
             self._take(path, 1.0)
 
     def similarity(self, path: int) -> NDArray:
-        """Return the mean overlap of a path with every path, shape (P,)."""
-        return self.gram[path].mean(axis=1)
+        """Return the mean overlap with every path while a path is present, shape (P,)."""
+        present = np.count_nonzero(self.gram[path, path])
+        return self.gram[path].sum(axis=1) / max(present, 1)
 
     def seen(self, path: int) -> NDArray:
         """Return the matched filter statistic along a path, the other paths taken off, (T,)."""
@@ -232,8 +233,11 @@ class PathSet:
         stamps = np.empty((n_frames, size, size))
         origins = np.empty((n_frames, 2), np.int64)
         norms = np.empty(n_frames)
-        stamp_kernels.render(self._optics, np.ascontiguousarray(positions), height, width,
-                             self._pixel_weights, stamps, origins, norms)
+        absent = ~np.isfinite(positions[:, 0])
+        there = np.where(absent[:, None], 0.0, positions)
+        stamp_kernels.render(self._optics, there, height, width, self._pixel_weights, stamps,
+                             origins, norms)
+        stamps[absent] = 0.0
         return stamps, origins
 
     def _relate(self, path):

@@ -62,12 +62,8 @@ class Refiner:
         t_convex : float
             Place on the continuation.
         """
-        seen = np.empty((len(positions), 3))
-        norms = np.empty(len(positions))
-        statistic_and_slope(self._optics, positions, frames, self._weights, self._model.code, seen,
-                            norms)
-        squared = best_amplitudes(seen, norms, self._model.code, np.empty(len(positions)))
-        best = (self._gain(squared, cost, threshold, t_convex), positions, cost)
+        squared = float(self.gains(frames, positions).sum())
+        best = (self.lowers(squared, cost, threshold, t_convex), positions, cost)
         for start, basis, family_cost in self._motions.candidates(positions, cost):
             moved = np.array(start)
             value = climb(moved, basis, self._optics, frames, self._weights, self._model.code,
@@ -77,13 +73,23 @@ class Refiner:
             moved_cost = family_cost
             if moved_cost is None:
                 moved_cost = self._motions.cost(moved)
-            gain = self._gain(value, moved_cost, threshold, t_convex)
+            gain = self.lowers(value, moved_cost, threshold, t_convex)
             if gain > best[0]:
                 best = (gain, moved, moved_cost)
         return best[1], best[2]
 
-    def _gain(self, squared, cost, threshold, t_convex):
-        """By how much the path lowers F_t, alone on these frames."""
+    def gains(self, frames: NDArray, positions: NDArray) -> NDArray[np.float64]:
+        """Return what each frame adds to the squared statistic of a path, shape (T,)."""
+        seen = np.empty((len(positions), 3))
+        norms = np.empty(len(positions))
+        statistic_and_slope(self._optics, positions, frames, self._weights, self._model.code, seen,
+                            norms)
+        amplitudes = np.empty(len(positions))
+        best_amplitudes(seen, norms, self._model.code, amplitudes)
+        return amplitudes**2
+
+    def lowers(self, squared: float, cost: float, threshold: float, t_convex: float) -> float:
+        """Return by how much a path of this squared statistic lowers F_t, alone."""
         weight = self._model.weight(threshold, cost)
         excess = math.sqrt(squared) - t_convex * weight
         return 0.5 * max(excess, 0.0)**2 - 0.5 * (1 - t_convex)**2 * weight**2

@@ -44,8 +44,8 @@ class ShearedPlane:
                        self.shape[0])
         return out
 
-    def restore(self, positions: NDArray) -> NDArray[np.float64]:
-        """Return the positions (T, 2) of a path in grid steps of the maps."""
+    def restore(self, positions: NDArray, frames: NDArray) -> NDArray[np.float64]:
+        """Return the positions (N, 2) of a path in N frames in grid steps of the maps."""
         x, y = positions.astype(int).T
-        y = y - self._padding + self._shifts[np.arange(len(x)), x]
+        y = y - self._padding + self._shifts[frames, x]
         return np.stack([x, y], axis=1).astype(float)

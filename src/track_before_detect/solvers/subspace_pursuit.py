@@ -199,8 +199,9 @@ class _Stage:
 
         def is_new(positions):
             for other in taken:
-                near = np.hypot(*(positions - other).T) < self._separation
-                if near.mean() > 0.25:
+                distance = np.hypot(*(positions - other).T)
+                near = distance[np.isfinite(distance)] < self._separation
+                if len(near) and near.mean() > 0.25:
                     return False
             taken.append(positions)
             return True

@@ -1,0 +1,102 @@
+"""What it costs a path to be present, to enter and to leave."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, SIGNED
+
+# Log-likelihood that has to speak against a target before the end of its path is cut off.
+CUT = 1.0
+MOST_LOOKS = 5
+
+
+@dataclass(frozen=True)
+class Presence:
+    """Price of the frames in which a target is there.
+
+    The squared statistic always grows with the frames that are added up, so a path that may begin
+    and end anywhere would never do so. With a cost for every frame it is in, noise no longer
+    lengthens it. Costs raise the squared weight of a path, lambda_path^2 = lambda^2 + cost, which
+    keeps the whole a group lasso with weights.
+
+    Attributes
+    ----------
+    per_frame : float
+        Cost of a frame, in units of the value of a path. About what a frame adds to the largest
+        value in noise.
+    entry, leaving : float
+        Cost of entering after the first frame of a batch and of leaving before its last.
+    """
+
+    per_frame: float
+    entry: float
+    leaving: float
+
+    def cost(self, first: int, last: int, n_frames: int) -> float:
+        """Return the cost of being present in the frames ``first`` to ``last``, both included."""
+        return (self.per_frame * (last - first + 1) + self.entry * (first > 0)
+                + self.leaving * (last < n_frames - 1))
+
+    def best_interval(self, gains: NDArray) -> tuple[int, int]:
+        """Return the first and last frame that gain most, for what each frame adds to a value."""
+        return _best_run(np.asarray(gains, float) - self.per_frame, self.entry, self.leaving)
+
+    def whole_cost(self, n_frames: int) -> float:
+        """Return the cost of being present in every frame of a batch."""
+        return self.cost(0, n_frames - 1, n_frames)
+
+
+def frames_seen_in(seen: NDArray) -> tuple[int, int]:
+    """Return the first and last frame in which a target was there, as far as can be told.
+
+    Whether a path is worth its costs has to allow for all places and times at which noise may
+    look like a target. Where a target that is there began and ended has not: a frame belongs to
+    it when the mean amplitude of the others explains it better than none, by the likelihood
+    s h - s^2 / 2 of an amplitude s.
+
+    Parameters
+    ----------
+    seen : array, shape (T,)
+        Statistic h of each frame along the path, magnitude where the sign is free.
+    """
+    first, last = 0, len(seen) - 1
+    for _ in range(MOST_LOOKS):
+        amplitude = max(float(np.mean(seen[first:last + 1])), 0.0)
+        run = _best_run(amplitude * seen - 0.5 * amplitude**2, CUT, CUT)
+        if run == (first, last):
+            break
+        first, last = run
+    return first, last
+
+
+def _best_run(gains, entry, leaving):
+    """Return the ends of the run of largest sum, less the costs where it ends inside."""
+    n_frames = len(gains)
+    before = np.append(0.0, np.cumsum(gains))
+    # A run begins where the sum before it, with what it may cost to enter, is least.
+    starts = before[:-1] + entry * (np.arange(n_frames) > 0)
+    ends = (before[1:] - leaving * (np.arange(n_frames) < n_frames - 1)
+            - np.minimum.accumulate(starts))
+    last = int(np.argmax(ends))
+    return int(np.argmin(starts[:last + 1])), last
+
+
+def presence_for(model: AmplitudeModel) -> Presence:
+    """Return the costs for a model of the amplitudes, in units of its noise.
+
+    The square of the threshold of a path of n frames, for one false path in twenty batches of
+    128 x 128 pixels, grows by 1.6 a frame from n = 10 to 20. A little less, with the costs of
+    entering and leaving, raises the threshold of targets that are there all the time by no more
+    than 0.05 while noise still lengthens few paths.
+    """
+    if model.code == CONSTANT:
+        raise ParameterError(
+            'presence partial cannot be searched with amplitude_model constant: take fluctuating, '
+            'or presence full')
+    per_frame = 2.0 if model.code == SIGNED else 1.4
+    return Presence(per_frame, entry=6.0, leaving=6.0)

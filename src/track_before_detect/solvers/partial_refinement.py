@@ -1,0 +1,112 @@
+"""Positions between the grid for targets that enter or leave: refined with their interval."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.presence import Presence
+from track_before_detect.models.psf import Psf
+from track_before_detect.models.state_graph import StateGraph
+from track_before_detect.solvers.refinement import Refiner
+
+# Rounds of positions for an interval and interval for the positions; each gains.
+MOST_ROUNDS = 3
+# Frames at either end whose mean velocity carries a path on beyond it.
+FRAMES_OF_VELOCITY = 5
+
+
+class PartialRefiner(Refiner):
+    """Moves one path to the positions and frames where it explains most.
+
+    Parameters
+    ----------
+    graph, psf, stamps, weights, model
+        As for Refiner.
+    presence : Presence
+        Cost of being present.
+    """
+
+    def __init__(self, graph: StateGraph, psf: Psf, stamps: NDArray,
+                 weights: NDArray, model: AmplitudeModel, presence: Presence):
+        super().__init__(graph, psf, stamps, weights, model)
+        self._graph = graph
+        self._psf = psf
+        self._stamps = stamps
+        self._presence = presence
+        self._refiners: dict[tuple[int, int], Refiner] = {}
+
+    def refine(self, frames: NDArray, positions: NDArray, cost: float, threshold: float,
+               t_convex: float) -> tuple[NDArray, float]:
+        """Return better positions and their cost, or those given when none is better.
+
+        Positions are NaN where the target is absent; see :meth:`Refiner.refine`.
+        """
+        n_frames = len(frames)
+        best = (self._lowers(frames, positions, cost, threshold, t_convex), positions, cost)
+        present = np.flatnonzero(np.isfinite(positions[:, 0]))
+        interval = (int(present[0]), int(present[-1]))
+        turns = cost - self._presence.cost(*interval, n_frames)
+        moved = positions
+        for _ in range(MOST_ROUNDS):
+            first, last = interval
+            inside = slice(first, last + 1)
+            price = self._presence.cost(first, last, n_frames)
+            part, turns = self._refiner(first, last).refine(
+                frames[inside], moved[inside], turns, math.sqrt(threshold**2 + price), t_convex)
+            whole = self._carried_on(part, first, last)
+            interval = self._presence.best_interval(self._gains(frames, whole))
+            moved = np.full_like(whole, np.nan)
+            moved[interval[0]:interval[1] + 1] = whole[interval[0]:interval[1] + 1]
+            moved_cost = turns + self._presence.cost(*interval, n_frames)
+            gain = self._lowers(frames, moved, moved_cost, threshold, t_convex)
+            if gain > best[0]:
+                best = (gain, moved, moved_cost)
+            if interval == (first, last):
+                break
+        return best[1], best[2]
+
+    def _refiner(self, first, last):
+        """Return the refiner for paths in these frames alone."""
+        if (first, last) not in self._refiners:
+            graph, inside = self._graph, slice(first, last + 1)
+            knots = np.unique(np.clip(graph.knots, first, last + 1)) - first
+            coupling = graph.coupling
+            if coupling is not None:
+                coupling = dataclasses.replace(coupling, times=coupling.times[inside])
+            part = dataclasses.replace(graph, knots=knots, coupling=coupling)
+            # One row of weights may serve all frames.
+            weights = self._weights[inside] if len(self._weights) > 1 else self._weights
+            self._refiners[first, last] = Refiner(
+                part, self._psf, self._stamps[inside], weights, self._model)
+        return self._refiners[first, last]
+
+    def _carried_on(self, part, first, last):
+        """Return a path in all frames, straight on before its first and after its last."""
+        stamps = self._stamps
+        whole = np.empty((len(stamps), 2))
+        whole[first:last + 1] = part
+        for end, other, beyond in (
+                (first, min(first + FRAMES_OF_VELOCITY, last), slice(0, first)),
+                (last, max(last - FRAMES_OF_VELOCITY, first), slice(last + 1, None))):
+            velocity = np.zeros(2)
+            if other != end:
+                velocity = (whole[end] - whole[other]) / (stamps[end] - stamps[other])
+            whole[beyond] = whole[end] + (stamps[beyond] - stamps[end])[:, None] * velocity
+        return whole
+
+    def _gains(self, frames, positions):
+        """Return what each frame adds to the value of a path, 0 where it is not in the frame."""
+        height, width = frames.shape[1:]
+        inside = np.all((positions >= 0) & (positions <= (width - 1, height - 1)), axis=1)
+        there = np.where(inside[:, None], positions, 0.0)
+        return np.where(inside, self.gains(frames, there), 0.0)
+
+    def _lowers(self, frames, positions, cost, threshold, t_convex):
+        """By how much the path lowers F_t, alone on these frames."""
+        squared = float(self._gains(frames, positions).sum())
+        return self.lowers(squared, cost, threshold, t_convex)
