@@ -2,13 +2,12 @@ import numpy as np
 import pytest
 
 from track_before_detect.evaluation import ring_runs, ring_suites
-from track_before_detect.evaluation.paper_scenes import (
-    parallel_six,
+from track_before_detect.evaluation.report import write_suite_result
+from track_before_detect.evaluation.ring_scenes import (
     point_frames,
     ring_multi,
     ring_single,
 )
-from track_before_detect.evaluation.report import write_suite_result
 from track_before_detect.evaluation.runner import Runner
 from track_before_detect.solvers.merit_functions import METHODS
 
@@ -36,13 +35,6 @@ def test_targets_of_figure_5_stay_inside_and_the_arc_is_20_px_across():
         assert path.min() >= 0 and path.max() <= 127
     np.testing.assert_allclose(np.ptp(ring_single(3, 100), axis=0), 20, atol=0.1)
     np.testing.assert_array_equal(ring_single(1, 2), [[5, 10], [6.2, 11.1]])
-
-
-def test_six_targets_of_guo_et_al():
-    targets = parallel_six()
-    np.testing.assert_allclose(targets[0, -1], [18.1, 35.3])
-    assert np.linalg.norm(targets[0] - targets[1], axis=1).min() < 1.5
-    np.testing.assert_allclose(np.linalg.norm(targets[3] - targets[4], axis=1), 2.6)
 
 
 def test_points_stand_out_of_unit_noise_where_they_are():

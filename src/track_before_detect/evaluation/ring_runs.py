@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.evaluation.paper_metrics import count_points
-from track_before_detect.evaluation.paper_scenes import (
+from track_before_detect.evaluation.ring_scenes import (
     MULTI_V_MAX,
     point_frames,
     ring_multi,

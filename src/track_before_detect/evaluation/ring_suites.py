@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from track_before_detect.evaluation import ring_pictures, ring_runs
 from track_before_detect.evaluation.confidence import bootstrap_interval
-from track_before_detect.evaluation.paper_scenes import (
+from track_before_detect.evaluation.report import markdown_table, Quantity, SuiteResult
+from track_before_detect.evaluation.ring_scenes import (
     MULTI_TARGETS,
     MULTI_V_MAX,
     point_frames,
@@ -21,7 +22,6 @@ from track_before_detect.evaluation.paper_scenes import (
     RING_SIDE_PX,
     SINGLE_V_MAX,
 )
-from track_before_detect.evaluation.report import markdown_table, Quantity, SuiteResult
 from track_before_detect.evaluation.runner import Runner
 from track_before_detect.evaluation.runs import checked_runs, seeds_of
 from track_before_detect.models.velocity_candidates import straight_lines, whole_velocities

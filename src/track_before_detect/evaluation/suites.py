@@ -9,6 +9,7 @@ import difflib
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.detection_suite import run_detection
 from track_before_detect.evaluation.limit_suites import run_accuracy, run_dim, run_false_alarms
+from track_before_detect.evaluation.parallel_suite import run_parallel
 from track_before_detect.evaluation.patent_suite import run_patent
 from track_before_detect.evaluation.report import SuiteResult
 from track_before_detect.evaluation.ring_suites import run_ring_multi, run_ring_single
@@ -56,6 +57,9 @@ SUITES: dict[str, Suite] = {
     'ring-multi': Suite(
         'Two and three targets by the six methods of Fu et al. 2022: Figures 9 and 10 and Table '
         '2 (N runs a point, 12 points).', run_ring_multi),
+    'parallel': Suite(
+        'The six targets of Guo et al. 2018 by mt_dp and pc_dp, 4 to 15 dB: Figures 9 and 10, and '
+        'the cost ratio of Eq. 18 (N runs a point, 12 points).', run_parallel),
 }
 
 

@@ -1,7 +1,7 @@
-"""The targets of the papers on dynamic programming, in pixels; x to the right, y down.
+"""The targets of Fu et al. 2022, Figures 5 and 7, in pixels; x to the right, y down.
 
-Fu et al. 2022 (Figures 5 and 7) and Guo et al. 2018 (Section 4.2). What their texts leave open is
-chosen here, once: where an arc begins and which way round it goes.
+What the text leaves open is chosen here, once: where an arc begins, which way round it goes, and
+which targets the cases of Figure 7 have.
 """
 
 from __future__ import annotations
@@ -19,11 +19,6 @@ MULTI_V_MAX = 1
 # Figure 7: which targets each case has. The text names all three; the times of Table 2, which grow
 # with the number of targets, say that cases 1 and 2 have two.
 MULTI_TARGETS = {1: ('line 1', 'line 2'), 2: ('line 1', 'arc'), 3: ('line 1', 'line 2', 'arc')}
-# Guo et al., Section 4.2: side of the region in cells, and scans of a batch.
-PARALLEL_SIDE = 50
-PARALLEL_SCANS = 6
-_PARALLEL_STATES = ((13.1, 1.0, 30.8, 0.9), (20.1, -1.0, 30.8, 1.0), (10.1, 1.0, 10.8, 0.9),
-                    (30.1, 1.0, 10.8, 0.0), (30.1, 1.0, 8.2, 0.0), (35.1, -0.9, 35.8, 1.0))
 
 
 def ring_single(case: int, n_frames: int) -> NDArray[np.float64]:
@@ -51,15 +46,6 @@ def ring_multi(case: int, n_frames: int = RING_FRAMES, first: int = 0) -> NDArra
         'line 2': _line((66, 73), (-0.6, -0.7), first + n_frames),
         'arc': _arc((64, 46), 20.0, 1.0, meeting - 53.75 / 20, first + n_frames)}
     return np.array([paths[name][first:] for name in MULTI_TARGETS[case]])
-
-
-def parallel_six() -> NDArray[np.float64]:
-    """Return the six targets of Guo et al., Section 4.2, shape (6, 6, 2).
-
-    Targets 1 and 2 cross, 4 and 5 are side by side, 3 and 6 are alone.
-    """
-    return np.array([_line((x, y), (vx, vy), PARALLEL_SCANS)
-                     for x, vx, y, vy in _PARALLEL_STATES])
 
 
 def point_frames(rng: np.random.Generator, targets: NDArray, snr: float,
