@@ -309,3 +309,26 @@ def cancelled_targets(psi, phi, weights, stamp, cores, squared, signed, sets, bo
                         share[v, u] = 0
             phi[t] = share
         found.append((np.array(path), seen, value))
+
+
+def stacked_statistics(psi, phi, grid, least, signed):
+    """Return sum psi / sqrt(sum phi) of every velocity and position, shape (V, Y, X)."""
+    n_frames, height, width = psi.shape
+    reach = int(np.abs(grid.moves).max())
+    around = np.pad([psi, phi], ((0, 0), (0, 0), (reach, reach), (reach, reach)))
+    found = []
+    for i, j in velocity_numbers(grid):
+        sums = np.zeros((2, height, width))
+        for t in range(n_frames):
+            y, x = reach + grid.moves[i, t], reach + grid.moves[j, t]
+            sums += around[:, t, y:y + height, x:x + width]
+        data = np.abs(sums[0]) if signed else sums[0]
+        found.append(np.where(sums[1] > least, data / np.sqrt(np.maximum(sums[1], least)), 0))
+    return np.array(found)
+
+
+def velocity_numbers(grid):
+    """Yield (number of v_y, number of v_x) of every velocity."""
+    for i, (first, last) in enumerate(zip(grid.first_vx, grid.last_vx, strict=True)):
+        for j in range(first, last):
+            yield i, j

@@ -19,7 +19,7 @@ import numpy as np
 from track_before_detect.errors import ParameterError
 
 DETECTORS = ('convex', 'greedy', 'cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_dpr', 'mff_dpr',
-             'mt_dp', 'pc_dp')
+             'mt_dp', 'pc_dp', 'velocity_filter')
 DEFAULT_CONTINUATION = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)
 
 

@@ -33,7 +33,8 @@ ABSENT = np.float32(-1e30)
 # Part of the PSF that border and mask have to leave for a pixel to be searched.
 LEAST_PHI = np.float32(1e-3)
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
+_COMPILE = {'nogil': True, 'cache': True, 'error_model': 'numpy',
+            'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
 _U = np.uint64
 
 

@@ -81,7 +81,7 @@ class Measurements:
         return scores
 
 
-def measure(frames: NDArray, psf: Psf) -> Measurements:
+def measure(frames: NDArray, psf: Psf, weights: NDArray | None = None) -> Measurements:
     """See frames through a PSF.
 
     Parameters
@@ -90,16 +90,24 @@ def measure(frames: NDArray, psf: Psf) -> Measurements:
         Frames of unit noise (E|n|^2 = 1 for complex ones); not finite where masked.
     psf : Psf
         What a target looks like.
+    weights : array, shape (T, H, W) or (1, H, W), optional
+        One over the noise that each pixel had before it was scaled to one; one unless given.
     """
     taps = _components(psf)
     valid = np.isfinite(frames)
     whole = bool(valid.all())
     clean = frames if whole else np.where(valid, frames, 0)
+    if weights is None:
+        weights = WHOLE if whole else valid.astype(np.float32)
+    elif not whole:
+        weights = np.broadcast_to(weights, frames.shape) * valid
+    weights = np.ascontiguousarray(weights, np.float32)
+    shown = np.ones((1, *frames.shape[1:]), np.float32)
+    if len(weights):
+        clean, shown = clean * weights, weights**2
     parts = [clean.real, clean.imag] if np.iscomplexobj(frames) else [clean]
     psi = np.stack([_correlate(part, taps) for part in parts])
-    shown = np.ones((1, *frames.shape[1:])) if whole else valid
     phi = np.broadcast_to(_correlate(shown, _squared(taps)), frames.shape)
-    weights = WHOLE if whole else valid.astype(np.float32)
     stamp = np.einsum('ci,cj->ij', taps[:, 0], taps[:, 1])
     return Measurements(psi, np.ascontiguousarray(phi), weights, stamp.astype(np.float32))
 

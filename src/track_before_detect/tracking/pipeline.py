@@ -17,6 +17,7 @@ from track_before_detect.solvers.merit_detector import MeritDetector
 from track_before_detect.solvers.merit_functions import METHODS
 from track_before_detect.solvers.mt_dp import MtDpDetector
 from track_before_detect.solvers.pc_dp import PcDpDetector
+from track_before_detect.solvers.velocity_filter import VelocityFilterDetector
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
@@ -31,6 +32,7 @@ DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
     **dict.fromkeys(METHODS, MeritDetector),
     'mt_dp': MtDpDetector,
     'pc_dp': PcDpDetector,
+    'velocity_filter': VelocityFilterDetector,
 }
 
 
