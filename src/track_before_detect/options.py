@@ -44,7 +44,8 @@ class DetectorOptions:
         'convex', 'Method that finds the trajectories: convex finds all jointly; for comparison, '
         'greedy finds one after the other, and dynamic programming over whole pixels of first '
         '(cfo) or second order (cso, mff), in one direction (_dp) or both (_dpr), finds one in '
-        'each round; mt_dp cancels one after the other, pc_dp does so by direction.',
+        'each round; mt_dp cancels one after the other, pc_dp does so by direction; '
+        'velocity_filter adds up along straight lines.',
         kind='text', choices=DETECTORS)
     psf_sigma_px: float = _option(
         1.0, 'Standard deviation of the Gaussian point spread function.', kind='number',
