@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import difflib
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation.compare_suite import run_compare
 from track_before_detect.evaluation.detection_suite import run_detection
 from track_before_detect.evaluation.limit_suites import run_accuracy, run_dim, run_false_alarms
 from track_before_detect.evaluation.parallel_suite import run_parallel
@@ -41,6 +42,9 @@ SUITES: dict[str, Suite] = {
         'Figures 2-7 of US application 18/790,866 (N scenes each) by the convex method, its '
         'continuation, t = 0 only and greedy: how often each shows what the text describes.',
         lambda runs, seed, runner: run_patent(runs, seed, runner.progress)),
+    'compare': Suite(
+        'Every detector on eight scenes at SNR 1.5 to 3 (N batches each) at equal false alarms: '
+        'the best per scene, targets found, false trajectories, GOSPA.', run_compare),
     'dim': Suite(
         'Dim targets on lines and arcs (N each), SNR 1.5 and 2, by the convex detector and by an '
         'exhaustive search over straight lines with the same statistic at the same false alarms.',
