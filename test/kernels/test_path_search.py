@@ -4,25 +4,15 @@ import numpy as np
 import pytest
 
 import naive
-from track_before_detect.kernels import path_search as kernel
 from track_before_detect.models.state_graph import build_state_graph
+from track_before_detect.solvers.path_table import PathTable
 
 
-def run(graph, scores):
-    """Run all segments and return the table of each."""
-    values = []
-    n_x = scores.shape[2]
-    before = np.empty((0, graph.n_velocities, n_x), np.float32)
-    end_moves = np.zeros((graph.n_velocities, 2), np.int32)
-    for j in range(graph.n_segments):
-        value = np.empty((scores.shape[1], graph.n_velocities, n_x), np.float32)
-        kernel.forward_segment(
-            value, before, scores, graph.moves, end_moves, graph.knots[j], graph.knots[j + 1],
-            graph.row_first, graph.row_x, graph.reach, np.float32(graph.turn_cost), 0,
-            scores.shape[1])
-        values.append(value)
-        before, end_moves = value, graph.end_moves[j]
-    return values
+def best_of(graph, scores):
+    """Return the largest weight of a path by start of its last segment."""
+    table = PathTable(graph, scores.shape[1:])
+    table.fill(scores)
+    return table.best
 
 
 @pytest.mark.parametrize('stamps', [
@@ -41,7 +31,7 @@ def test_best_path_equals_search_through_every_path(stamps, acceleration, cost):
     generator = np.random.default_rng(3)
     scores = generator.exponential(size=(graph.n_frames, 4, 5)).astype(np.float32)
     expected, _ = naive.best_path_value(graph, scores)
-    assert run(graph, scores)[-1].max() == pytest.approx(expected, rel=1e-5)
+    assert best_of(graph, scores).max() == pytest.approx(expected, rel=1e-5)
 
 
 def test_reach_of_several_steps_equals_search_through_every_path():
@@ -50,7 +40,7 @@ def test_reach_of_several_steps_equals_search_through_every_path():
     assert graph.reach >= 2
     scores = np.random.default_rng(4).exponential(size=(3, 4, 5)).astype(np.float32)
     expected, _ = naive.best_path_value(graph, scores)
-    assert run(graph, scores)[-1].max() == pytest.approx(expected, rel=1e-5)
+    assert best_of(graph, scores).max() == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize('n_frames', [6, 7, 8, 9, 10])
@@ -61,7 +51,7 @@ def test_long_segments_over_many_velocities_equal_search_through_every_path(n_fr
     assert graph.n_segments == 2 and graph.reach == 1 and len(graph.row_x) >= 5
     scores = np.random.default_rng(n_frames).exponential(size=(n_frames, 6, 7))
     expected, _ = naive.best_path_value(graph, scores)
-    assert run(graph, scores.astype(np.float32))[-1].max() == pytest.approx(expected, rel=1e-5)
+    assert best_of(graph, scores.astype(np.float32)).max() == pytest.approx(expected, rel=1e-5)
 
 
 def test_frame_of_one_row_is_searched():
@@ -69,11 +59,30 @@ def test_frame_of_one_row_is_searched():
                               turn_cost=1.0)
     scores = np.random.default_rng(5).exponential(size=(4, 1, 21)).astype(np.float32)
     expected, _ = naive.best_path_value(graph, scores)
-    assert run(graph, scores)[-1].max() == pytest.approx(expected, rel=1e-5)
+    assert best_of(graph, scores).max() == pytest.approx(expected, rel=1e-5)
 
 
-def test_best_by_position_is_the_maximum_over_velocities():
-    value = np.random.default_rng(6).standard_normal((4, 7, 5)).astype(np.float32)
-    best = np.empty((4, 5), np.float32)
-    kernel.best_by_position(value, best, 0, 4)
-    np.testing.assert_array_equal(best, value.max(axis=1))
+@pytest.mark.parametrize('acceleration', [0.0, 0.4, 3.0])
+@pytest.mark.parametrize('n_frames', [1, 4, 5])
+def test_traced_path_has_the_weight_it_was_found_for(acceleration, n_frames):
+    graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=1.6,
+                              max_acceleration=acceleration, turn_cost=0.3)
+    scores = np.random.default_rng(9).exponential(size=(n_frames, 7, 33)).astype(np.float32)
+    table = PathTable(graph, (7, 33))
+    table.fill(scores)
+    for y, x in ((0, 0), (3, 17), (6, 32)):
+        positions, cost = table.trace(y, x)
+        columns, rows = positions.astype(int).T
+        weight = scores[np.arange(n_frames), rows, columns].sum() - cost
+        assert weight == pytest.approx(float(table.best[y, x]), rel=1e-5)
+
+
+def test_rows_wider_than_a_word_of_vectors_are_searched():
+    graph = build_state_graph(np.arange(3.0), step_px=1.0, max_speed=1.0, max_acceleration=1.0,
+                              turn_cost=0.5)
+    scores = np.random.default_rng(8).exponential(size=(3, 2, 2500)).astype(np.float32)
+    wide = best_of(graph, scores)
+    # What lies far enough away does not matter.
+    parts = [best_of(graph, scores[:, :, first:first + 1000]) for first in (0, 1500)]
+    np.testing.assert_allclose(wide[:, :990], parts[0][:, :990], rtol=1e-5)
+    np.testing.assert_allclose(wide[:, 1510:], parts[1][:, 10:], rtol=1e-5)

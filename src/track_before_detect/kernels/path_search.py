@@ -2,24 +2,26 @@
 
 Layout of every array
 ---------------------
-scores : float32 (T, Y, X)
-    Weight of position (y, x) on the position grid in frame t.
-value : float32 (Y, V, X)
-    Weight of the best path up to and including one segment, by start position of the segment
-    and velocity. The velocity axis lies between the two position axes so that one row y of all
-    velocities is one contiguous block, which fits the second-level cache.
-moves : int32 (T, V, 2)
-    Displacement (x, y) in grid steps from the start of the segment to frame t.
-end_moves : int32 (J, V, 2)
-    Displacement over the whole segment j, that is, to the start of segment j + 1.
-row_first, row_x : int32 (R,)
-    Velocities lie on a grid and are numbered row by row (a row has one v_y): number of the first
-    velocity of the row and grid index of its v_x; ``row_first`` has R + 1 entries.
+Positions (y, x) of the grid lie in rows of ``stride`` numbers, of which the first ``n_x`` are
+positions and the rest, at least as many as any move along x, are ``ABSENT``: so a position off the
+grid, on either side, is read as absent and needs no care. Loops run over ``lanes``, n_x rounded up
+to whole vectors; what they write beyond n_x is made absent again.
 
-A position outside the grid has weight ``ABSENT``.
+scores : float32, flat; row y of frame t starts at pad + (t n_y + y) stride
+    Weight of each position in each frame.
+value, before : float32, flat; row (y, v) starts at guard + (y n_v + v) stride
+    Weight of the best path up to and including one segment, by start position of the segment and
+    velocity. The velocities lie between the two position axes so that one row y of all velocities
+    is one contiguous block, which fits the second-level cache. The guard is a row of absent
+    positions.
+best : float32 (Y, X)
+    Largest weight over all velocities of the last segment, which is not stored otherwise.
+marks : uint64 (Y, V), or (Y,) for the last segment
+    Which states are computed: one bit for each block of ``block`` positions, so that one number
+    covers a row. All others keep their values.
 
-Every value is computed by the same operations in the same order whether a whole table is filled
-or a few of its states are computed anew, so both give the same bits.
+Every value is computed by the same operations in the same order whichever others are computed
+beside it, so that a table brought up to date equals a table filled from the start, bit for bit.
 
 The loops over x are small functions of their own on purpose: written into the nest above them
 they are not vectorised. They take whole arrays, flat, with unsigned offsets: a slice for each row
@@ -27,13 +29,68 @@ would cost two atomic updates of a reference count, as long as adding sixty numb
 index would be checked for being negative at each step.
 """
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 ABSENT = np.float32(-1e30)
+# Blocks of positions in a row, one for each bit of a mark.
+BLOCKS = 64
+# What the compiled loops take at a time.
+VECTOR = 32
 
 _COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz'}}
 _U = np.uint64
+
+
+class Layout(NamedTuple):
+    """Where the positions lie, see above."""
+
+    n_y: int
+    n_x: int
+    n_v: int
+    stride: int
+    lanes: int
+    block: int
+    pad: int
+    guard: int
+
+
+class Segment(NamedTuple):
+    """One segment of a state graph.
+
+    Attributes
+    ----------
+    offsets : array of int64, shape (V, K)
+        Flat distance of the position in each of its K frames from the start in frame 0.
+    first_y, last_y : array of int64, shape (V,)
+        Rows from which all frames stay on the grid.
+    arrival : array of int64, shape (V, 2)
+        Displacement (x, y) over the segment before; of no rows for the first segment.
+    slots : array of int64, shape (V,)
+        Where each velocity lies on a flat grid of velocities with ``columns`` columns.
+    velocity_at : array of int64, shape (S,)
+        Velocity at each place of that grid, V where there is none, as everywhere within ``reach``
+        of its edges.
+    columns : int
+        Columns of that grid.
+    reach : int
+        Steps by which either component of the velocity may change before the segment.
+    cost : float32
+        Of one step.
+    """
+
+    offsets: NDArray[np.int64]
+    first_y: NDArray[np.int64]
+    last_y: NDArray[np.int64]
+    arrival: NDArray[np.int64]
+    slots: NDArray[np.int64]
+    velocity_at: NDArray[np.int64]
+    columns: int
+    reach: int
+    cost: np.float32
 
 
 @numba.njit(**_COMPILE)
@@ -75,12 +132,30 @@ def _add_four(out, o, source, a, b, c, d, n):
 
 
 @numba.njit(**_COMPILE)
-def _turn_and_add_three(out, o, turns, here, left, right, cost, source, a, b, c, n):
+def _turn_and_add(out, o, turns, here, left, right, cost, source, a, n):
     for x in range(_U(n)):
         beside = turns[left + x] if turns[left + x] > turns[right + x] else turns[right + x]
         beside -= cost
         best = turns[here + x] if turns[here + x] > beside else beside
-        out[o + x] = best + (source[a + x] + source[b + x] + source[c + x])
+        out[o + x] = best + source[a + x]
+
+
+@numba.njit(**_COMPILE)
+def _turn_and_add_two(out, o, turns, here, left, right, cost, source, a, b, n):
+    for x in range(_U(n)):
+        beside = turns[left + x] if turns[left + x] > turns[right + x] else turns[right + x]
+        beside -= cost
+        best = turns[here + x] if turns[here + x] > beside else beside
+        out[o + x] = best + (source[a + x] + source[b + x])
+
+
+@numba.njit(**_COMPILE)
+def _turn_and_add_four(out, o, turns, here, left, right, cost, source, a, b, c, d, n):
+    for x in range(_U(n)):
+        beside = turns[left + x] if turns[left + x] > turns[right + x] else turns[right + x]
+        beside -= cost
+        best = turns[here + x] if turns[here + x] > beside else beside
+        out[o + x] = best + ((source[a + x] + source[b + x]) + (source[c + x] + source[d + x]))
 
 
 @numba.njit(**_COMPILE)
@@ -92,7 +167,8 @@ def raise_row(out, o, source, a, n, cost):
 
 
 @numba.njit(**_COMPILE)
-def _best_of_three(out, o, source, here, left, right, n, cost):
+def best_of_three(out, o, source, here, left, right, n, cost):
+    """Write to out[o + x] the best of three, two of them less ``cost``."""
     for x in range(_U(n)):
         beside = source[left + x] if source[left + x] > source[right + x] else source[right + x]
         beside -= cost
@@ -100,41 +176,18 @@ def _best_of_three(out, o, source, here, left, right, n, cost):
 
 
 @numba.njit(**_COMPILE)
-def shifted_row(out, o, value, row, y, n_y, n_x, move_x, move_y, start, stop):
-    """Write value[y + move_y, v, x + move_x] to out[o + x], x from ``start`` to ``stop``.
-
-    Positions off the grid are ABSENT.
-    ``row`` is the flat index of value[y + move_y, v, 0].
-    """
-    first = min(max(start, -move_x), stop)
-    last = max(min(stop, n_x - move_x), first)
-    if y + move_y < 0 or y + move_y >= n_y:
-        last = first
-    fill_row(out, o + _U(start), first - start, ABSENT)
-    copy_row(out, o + _U(first), value, _U(row + first + move_x), last - first)
-    fill_row(out, o + _U(last), stop - last, ABSENT)
-
-
-@numba.njit(**_COMPILE)
-def extents_of(moves, first_frame, last_frame, n_y, n_x):
-    """Return what adding the scores of a segment needs for each velocity.
-
-    extents[v] : first and last x, first and last y from which all frames stay on the grid
-    offsets[v, t] : flat index of the position in frame t less that of the start in frame 0
-    """
-    n_v = moves.shape[1]
-    extents = np.zeros((n_v, 4), np.int64)
-    offsets = np.empty((n_v, last_frame - first_frame), np.int64)
-    for v in range(n_v):
-        extents[v, 1] = n_x
-        extents[v, 3] = n_y
-        for t in range(first_frame, last_frame):
-            extents[v, 0] = max(extents[v, 0], -moves[t, v, 0])
-            extents[v, 1] = min(extents[v, 1], n_x - moves[t, v, 0])
-            extents[v, 2] = max(extents[v, 2], -moves[t, v, 1])
-            extents[v, 3] = min(extents[v, 3], n_y - moves[t, v, 1])
-            offsets[v, t - first_frame] = (t * n_y + moves[t, v, 1]) * n_x + moves[t, v, 0]
-    return extents, offsets
+def run_of_blocks(marks, b, n_blocks):
+    """Return the first run of marked blocks from block ``b`` on: first, and one past the last."""
+    if b >= n_blocks or not marks >> _U(b):
+        return BLOCKS, BLOCKS
+    if b == 0 and marks == ~_U(0) >> _U(BLOCKS - n_blocks):
+        return 0, n_blocks
+    while not marks >> _U(b) & _U(1):
+        b += 1
+    end = b
+    while end < n_blocks and marks >> _U(end) & _U(1):
+        end += 1
+    return b, end
 
 
 @numba.njit(**_COMPILE)
@@ -159,136 +212,170 @@ def _add_scores(out, o, scores, offsets, v, start, n, t):
 
 
 @numba.njit(**_COMPILE)
-def _raise_from_sides(out, o, source, start, stride, here, n_rows, k, n, cost):
-    """Raise out[o + x] to the rows k before and k after row ``here`` where there are such."""
-    if 0 <= here - k < n_rows:
-        raise_row(out, o, source, _U(start + (here - k) * stride), n, np.float32(k) * cost)
-    if 0 <= here + k < n_rows:
-        raise_row(out, o, source, _U(start + (here + k) * stride), n, np.float32(k) * cost)
-
-
-@numba.njit(**_COMPILE)
-def best_turn_x(turns, o, flat, row, i, n_v, n_x, start, n, reach, cost):
-    """Write to turns[o + x] the best within ``reach`` steps of v_x, less ``cost`` a step.
+def _turn_x(turns, wanted, source, before, velocity_at, reach, cost, n_blocks, block, lanes):
+    """Write to ``turns`` the best within reach along v_x, less the cost a step, where wanted.
 
     The cost of a turn is the sum of its steps in v_x and v_y, so the maximum over the square of
-    velocities is one over v_x and then one over v_y. Rows of the disc of velocities have different
-    lengths: ``i`` counts from the first velocity of the row and may lie outside the row, for a
-    longer neighbouring row needs those columns too. The row of velocities starts at flat[row].
+    velocities is one over v_x and then one over v_y.
+
+    turns : float32 (S, lanes), flat
+    wanted : uint64 (S,), blocks
+    source : int64 (V + 1,), where before[] holds the best paths that arrive at x = 0
     """
-    here = row + start
-    nearest = 1
-    if 1 <= i < n_v - 1:
-        _best_of_three(turns, o, flat, _U(here + i * n_x), _U(here + (i - 1) * n_x),
-                       _U(here + (i + 1) * n_x), n, cost)
-        nearest = 2
-    elif 0 <= i < n_v:
-        copy_row(turns, o, flat, _U(here + i * n_x), n)
-    else:
-        fill_row(turns, o, n, ABSENT)
-    for k in range(nearest, reach + 1):
-        _raise_from_sides(turns, o, flat, here, n_x, i, n_v, k, n, cost)
+    for slot in range(velocity_at.size):
+        b, end = run_of_blocks(wanted[slot], 0, n_blocks)
+        while b < BLOCKS:
+            start = b * block
+            n = min(end * block, lanes) - start
+            o = _U(slot * lanes + start)
+            best_of_three(turns, o, before, _U(source[velocity_at[slot]] + start),
+                          _U(source[velocity_at[slot - 1]] + start),
+                          _U(source[velocity_at[slot + 1]] + start), n, cost)
+            for k in range(2, reach + 1):
+                raise_row(turns, o, before, _U(source[velocity_at[slot - k]] + start), n,
+                          np.float32(k) * cost)
+                raise_row(turns, o, before, _U(source[velocity_at[slot + k]] + start), n,
+                          np.float32(k) * cost)
+            b, end = run_of_blocks(wanted[slot], end, n_blocks)
 
 
 @numba.njit(**_COMPILE)
-def best_turn_y(out, o, turns, column, stride, r, n_rows, n, reach, cost):
-    """Write to out[o + x] the best within ``reach`` rows of ``turns``, less ``cost`` a row."""
-    nearest = 1
-    if 1 <= r < n_rows - 1:
-        _best_of_three(out, o, turns, _U(r * stride + column), _U((r - 1) * stride + column),
-                       _U((r + 1) * stride + column), n, cost)
-        nearest = 2
-    else:
-        copy_row(out, o, turns, _U(r * stride + column), n)
-    for k in range(nearest, reach + 1):
-        _raise_from_sides(out, o, turns, column, stride, r, n_rows, k, n, cost)
+def _find_sources(source, y, arrival, n_y, stride, pad, guard):
+    """Write to source[v] where the best paths of velocity v that arrive in row y are held."""
+    n_v = arrival.shape[0]
+    for v in range(n_v):
+        row = y - arrival[v, 1]
+        source[v] = pad
+        if 0 <= row < n_y:
+            source[v] = guard + (row * n_v + v) * stride - arrival[v, 0]
+    source[n_v] = pad
 
 
 @numba.njit(**_COMPILE)
-def row_width(row_first, row_x):
-    """Return the number of columns of the grid of velocities."""
-    width = 0
-    for r in range(row_x.size):
-        width = max(width, row_x[r] + row_first[r + 1] - row_first[r])
-    return width
+def _turn_y_and_go(out, o, turns, here, step, reach, cost, scores, offsets, v, first, n):
+    """Write to out[o + x] the best turn and the weights met along the segment.
 
-
-@numba.njit(**_COMPILE)
-def extend(flat, o, turns, column, stride, r, n_rows, reach, cost, starting, scores, offsets, v,
-            start, n):
-    """Write to flat[o + x] the best turn and the weights met in the segment.
-
-    ``column`` is the flat index of the first state in a row of ``turns``, ``start`` that of its
-    position in a frame. All frames of the segment stay on the grid.
+    ``here`` is the flat index in ``turns`` of the first state, ``step`` the distance of rows of
+    velocities there, ``first`` the flat index of the position in a frame.
     """
+    n_frames = offsets.shape[1]
     done = 0
-    if starting:
-        fill_row(flat, o, n, np.float32(0))
-    elif reach == 1 and 1 <= r < n_rows - 1 and offsets.shape[1] >= 3:
-        # The common case in one loop, which spares a pass over the row.
-        _turn_and_add_three(
-            flat, o, turns, _U(r * stride + column), _U((r - 1) * stride + column),
-            _U((r + 1) * stride + column), cost, scores, _U(start + offsets[v, 0]),
-            _U(start + offsets[v, 1]), _U(start + offsets[v, 2]), n)
-        done = 3
+    if turns.size == 0:
+        fill_row(out, o, n, np.float32(0))
+    elif reach > 1:
+        best_of_three(out, o, turns, _U(here), _U(here - step), _U(here + step), n, cost)
+        for k in range(2, reach + 1):
+            raise_row(out, o, turns, _U(here - k * step), n, np.float32(k) * cost)
+            raise_row(out, o, turns, _U(here + k * step), n, np.float32(k) * cost)
+    # The common case in one loop, which spares a pass over the row.
+    elif n_frames >= 4:
+        _turn_and_add_four(out, o, turns, _U(here), _U(here - step), _U(here + step),
+                           cost, scores, _U(first + offsets[v, 0]),
+                           _U(first + offsets[v, 1]), _U(first + offsets[v, 2]),
+                           _U(first + offsets[v, 3]), n)
+        done = 4
+    elif n_frames >= 2:
+        _turn_and_add_two(out, o, turns, _U(here), _U(here - step), _U(here + step),
+                          cost, scores, _U(first + offsets[v, 0]),
+                          _U(first + offsets[v, 1]), n)
+        done = 2
     else:
-        best_turn_y(flat, o, turns, column, stride, r, n_rows, n, reach, cost)
-    _add_scores(flat, o, scores, offsets, v, start, n, done)
+        _turn_and_add(out, o, turns, _U(here), _U(here - step), _U(here + step), cost,
+                      scores, _U(first + offsets[v, 0]), n)
+        done = 1
+    _add_scores(out, o, scores, offsets, v, first, n, done)
 
 
 @numba.njit(**_COMPILE)
-def forward_segment(value, before, scores, moves, end_moves_before, first_frame, last_frame,
-                    row_first, row_x, reach, cost, first_row, last_row):
+def extend_paths(value, before, scores, segment, layout, marks, first_row, last_row):
     """Extend the best paths by one segment, rows ``first_row`` to ``last_row`` of ``value``.
 
-    value[y, v, x] = max over v' near v of (before[p - end_move(v'), v'] - cost * |v - v'|)
+    value[y, v, x] = max over v' near v of (before[p - arrival(v'), v'] - cost * |v - v'|)
                      + sum over frames of scores[t, p + move(t, v)],   p = (y, x)
 
-    ``before`` of no rows starts the paths: the maximum is then zero.
+    ``before`` of no states starts the paths: the maximum is then zero.
     """
-    n_y, n_v, n_x = value.shape
-    flat = value.reshape(value.size)
-    flat_before = before.reshape(before.size)
-    flat_scores = scores.reshape(scores.size)
-    starting = before.shape[0] == 0
-    width = row_width(row_first, row_x)
-    stride = width * n_x
-    n_rows = row_x.size
-    turns = np.empty(n_rows * stride, np.float32)
-    extents, offsets = extents_of(moves, first_frame, last_frame, n_y, n_x)
+    # Taken out once: each use of a tuple that holds arrays updates their reference counts.
+    offsets, first_y, last_y = segment.offsets, segment.first_y, segment.last_y
+    arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
+    columns, reach, cost = segment.columns, segment.reach, segment.cost
+    n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
+    starting = before.size == 0
+    n_blocks = (lanes + block - 1) // block
+    turns = np.full(0 if starting else velocity_at.size * lanes, ABSENT)
+    wanted = np.empty(velocity_at.size, np.uint64)
+    source = np.empty(n_v + 1, np.int64)
     for y in range(first_row, last_row):
-        block = y * n_v * n_x
+        wanted[:] = 0
+        some = _U(0)
+        for v in range(n_v):
+            some |= marks[y, v]
+            for k in range(-reach, reach + 1):
+                wanted[slots[v] + k * columns] |= marks[y, v]
+        if some == 0:
+            continue
         if not starting:
-            for v in range(n_v):
-                move_x, move_y = -end_moves_before[v, 0], -end_moves_before[v, 1]
-                shifted_row(flat, _U(block + v * n_x), flat_before,
-                             ((y + move_y) * n_v + v) * n_x, y, n_y, n_x, move_x, move_y, 0, n_x)
-            for r in range(n_rows):
-                for c in range(width):
-                    best_turn_x(turns, _U((r * width + c) * n_x), flat,
-                                 block + row_first[r] * n_x, c - row_x[r],
-                                 row_first[r + 1] - row_first[r], n_x, 0, n_x, reach, cost)
-        for r in range(n_rows):
-            for v in range(row_first[r], row_first[r + 1]):
-                o = _U(block + v * n_x)
-                first, last = extents[v, 0], extents[v, 1]
-                if y < extents[v, 2] or y >= extents[v, 3] or last <= first:
-                    fill_row(flat, o, n_x, ABSENT)
-                    continue
-                fill_row(flat, o, first, ABSENT)
-                fill_row(flat, o + _U(last), n_x - last, ABSENT)
-                column = (row_x[r] + v - row_first[r]) * n_x + first
-                extend(flat, o + _U(first), turns, column, stride, r, n_rows, reach, cost,
-                        starting, flat_scores, offsets, v, y * n_x + first, last - first)
+            _find_sources(source, y, arrival, n_y, stride, pad, guard)
+            _turn_x(turns, wanted, source, before, velocity_at, reach, cost, n_blocks, block,
+                    lanes)
+        for v in range(n_v):
+            row = guard + (y * n_v + v) * stride
+            b, end = run_of_blocks(marks[y, v], 0, n_blocks)
+            while b < BLOCKS:
+                start = b * block
+                stop = min(end * block, lanes)
+                if first_y[v] <= y < last_y[v]:
+                    _turn_y_and_go(value, _U(row + start), turns, slots[v] * lanes + start,
+                                   columns * lanes, reach, cost, scores, offsets, v,
+                                   pad + y * stride + start, stop - start)
+                    for x in range(n_x, stop):
+                        value[row + x] = ABSENT
+                else:
+                    fill_row(value, _U(row + start), stop - start, ABSENT)
+                b, end = run_of_blocks(marks[y, v], end, n_blocks)
 
 
 @numba.njit(**_COMPILE)
-def best_by_position(value, out, first_row, last_row):
-    """Write the largest weight over all velocities to out[y, x]."""
-    _, n_v, n_x = value.shape
-    flat = value.reshape(value.size)
-    flat_out = out.reshape(out.size)
+def finish_paths(best, before, scores, segment, layout, marks, first_row, last_row):
+    """Write the largest weight over all velocities after the last segment to best[y, x].
+
+    The weights are those of the function ``extend_paths``.
+    """
+    # Taken out once: each use of a tuple that holds arrays updates their reference counts.
+    offsets, first_y, last_y = segment.offsets, segment.first_y, segment.last_y
+    arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
+    columns, reach, cost = segment.columns, segment.reach, segment.cost
+    n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
+    starting = before.size == 0
+    n_blocks = (lanes + block - 1) // block
+    flat_best = best.reshape(best.size)
+    turns = np.full(0 if starting else velocity_at.size * lanes, ABSENT)
+    wanted = np.empty(velocity_at.size, np.uint64)
+    source = np.empty(n_v + 1, np.int64)
+    value = np.empty(lanes, np.float32)
+    top = np.empty(lanes, np.float32)
     for y in range(first_row, last_row):
-        copy_row(flat_out, _U(y * n_x), flat, _U(y * n_v * n_x), n_x)
-        for v in range(1, n_v):
-            raise_row(flat_out, _U(y * n_x), flat, _U((y * n_v + v) * n_x), n_x, np.float32(0))
+        if not marks[y]:
+            continue
+        if not starting:
+            wanted[:] = 0
+            for v in range(n_v):
+                for k in range(-reach, reach + 1):
+                    wanted[slots[v] + k * columns] = marks[y]
+            _find_sources(source, y, arrival, n_y, stride, pad, guard)
+            _turn_x(turns, wanted, source, before, velocity_at, reach, cost, n_blocks, block,
+                    lanes)
+        b, end = run_of_blocks(marks[y], 0, n_blocks)
+        while b < BLOCKS:
+            start = b * block
+            n = min(end * block, lanes) - start
+            fill_row(top, _U(start), n, ABSENT)
+            for v in range(n_v):
+                if first_y[v] <= y < last_y[v]:
+                    _turn_y_and_go(value, _U(start), turns, slots[v] * lanes + start,
+                                   columns * lanes, reach, cost, scores, offsets, v,
+                                   pad + y * stride + start, n)
+                    raise_row(top, _U(start), value, _U(start), n, np.float32(0))
+            copy_row(flat_best, _U(y * n_x + start), top, _U(start),
+                     min(n, n_x - start))
+            b, end = run_of_blocks(marks[y], end, n_blocks)

@@ -90,7 +90,7 @@ class PathSearch:
         return self._plane.shear(scores) if self._plane else scores
 
     def run(self, scores: NDArray) -> NDArray:
-        """Fill the table of best path weights; return the best by last start, shape (Y, X)."""
+        """Compute all path weights; return the best by start of the last segment, (Y, X)."""
         self._table.fill(scores)
         return self._table.best
 
@@ -124,37 +124,12 @@ class PathSearch:
             y, x = np.unravel_index(int(np.argmax(best)), best.shape)
             if not best[y, x] > above:
                 break
-            path = self._trace(int(y), int(x))
+            positions, cost = self._table.trace(int(y), int(x))
+            if self._plane:
+                positions = self._plane.restore(positions, np.arange(len(positions)))
+            path = FoundPath(positions * self.graph.step_px, float(best[y, x]), cost)
             if is_new(path.positions):
                 found.append(path)
             best[max(0, y - radius):y + radius + 1, max(0, x - radius):x + radius + 1] = (
                 path_search.ABSENT)
         return largest, found
-
-    def _trace(self, y, x):
-        """Follow the best path back from the start (y, x) of its last segment."""
-        graph, values = self.graph, self._table.values
-        velocity = int(np.argmax(values[-1, y, :, x]))
-        value = float(values[-1, y, velocity, x])
-        grid = graph.grid
-        positions = np.empty((graph.n_frames, 2))
-        cost = 0.0
-        for j in range(graph.n_segments - 1, -1, -1):
-            first, last = graph.knots[j], graph.knots[j + 1]
-            positions[first:last] = (x, y) + graph.moves[first:last, velocity]
-            if j == 0:
-                break
-            steps = np.abs(grid - grid[velocity])
-            near = np.flatnonzero(steps.max(axis=1) <= graph.reach)
-            from_x = x - graph.end_moves[j - 1, near, 0]
-            from_y = y - graph.end_moves[j - 1, near, 1]
-            inside = ((from_x >= 0) & (from_x < values.shape[3])
-                      & (from_y >= 0) & (from_y < values.shape[1]))
-            near, from_x, from_y = near[inside], from_x[inside], from_y[inside]
-            turn = graph.turn_cost * steps[near].sum(axis=1)
-            chosen = int(np.argmax(values[j - 1, from_y, near, from_x] - turn))
-            cost += float(turn[chosen])
-            velocity, x, y = int(near[chosen]), int(from_x[chosen]), int(from_y[chosen])
-        if self._plane:
-            positions = self._plane.restore(positions, np.arange(len(positions)))
-        return FoundPath(positions * graph.step_px, value, cost)

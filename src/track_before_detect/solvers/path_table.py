@@ -1,8 +1,7 @@
 """Weights of the best paths to all states, kept up to date while the scores change.
 
 The frames of one batch are searched several times, each time with a little more taken off them.
-Only the states whose paths meet a change are then computed anew; the table is the same, bit for
-bit, as if it had been filled from the start.
+Only the states whose paths meet a change, and may pass the threshold, are then computed anew.
 """
 
 from __future__ import annotations
@@ -10,19 +9,18 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels import path_search, path_update
+from track_before_detect.kernels import path_search, path_trace, path_update
+from track_before_detect.kernels.path_search import ABSENT, BLOCKS, VECTOR
 from track_before_detect.models.state_graph import StateGraph
 
 # A state costs this much more where few are computed than where all are.
 COST_OF_UPDATE = 2.5
-# Positions per block of marks, at least: what the compiled loops take at a time.
-LEAST_BLOCK = 32
+NO_STATES = np.empty(0, np.float32)
 
 
 class PathTable:
@@ -41,70 +39,104 @@ class PathTable:
 
     Attributes
     ----------
-    values : array, shape (J, Y, V, X)
-        Weight of the best path up to and including each segment.
     best : array, shape (Y, X)
-        Largest weight over all velocities of the last segment.
+        Largest weight of the paths that start their last segment at a position.
     """
 
     def __init__(self, graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1):
         self._graph = graph
         self._n_threads = n_threads
-        n_y, n_x = grid_shape
+        self._layout = _layout(graph, grid_shape)
+        self._segments = [_segment(graph, j, self._layout) for j in range(graph.n_segments)]
+        self._grid_shape = grid_shape
         # Memory is taken when the first search asks for it.
-        self._shape = (graph.n_segments, n_y, graph.n_velocities, n_x)
-        self.values = np.empty((0, 0, 0, 0), np.float32)
         self.best = np.empty((0, 0), np.float32)
-        self._scores: NDArray | None = None
-        most = path_update.BLOCKS * LEAST_BLOCK
-        self._block = LEAST_BLOCK * -(-n_x // most)
-        self._n_blocks = math.prod(self._shape[:3]) * -(-n_x // self._block)
+        self._scores = NO_STATES
+        self._largest = np.empty((0, 0), np.float32)
+        self._tables: list[NDArray] = []
         # Which states are older than the scores, see the module path_update.
-        self._stale = np.empty((0, 0, 0), np.uint64)
+        self._stale: list[NDArray] = []
+        self._stale_last = np.empty(0, np.uint64)
+        self._filled = False
 
     def fill(self, scores: NDArray) -> None:
         """Compute all states for scores of shape (T, Y, X)."""
-        if not len(self.values):
-            self.values = np.empty(self._shape, np.float32)
-            self.best = np.empty((self._shape[1], self._shape[3]), np.float32)
-            self._stale = np.empty(self._shape[:3], np.uint64)
-        for segment in range(self._graph.n_segments):
-            self.over_rows(path_search.forward_segment, *self._segment(scores, segment))
-        self.over_rows(path_search.best_by_position, self.values[-1], self.best)
-        self._scores = scores
-        self._stale[:] = 0
+        self._take_memory()
+        self.over_rows(path_update.store_scores, self._scores, self._largest, scores,
+                       self._layout)
+        self._fill()
+
+    def _fill(self):
+        n_y, n_v = self._layout.n_y, self._layout.n_v
+        everything = np.full((n_y, n_v), ~np.uint64(0))
+        everything >>= np.uint64(BLOCKS - self._n_blocks)
+        self._compute([everything] * len(self._tables), everything[:, 0].copy())
+        self._filled = True
 
     def update(self, scores: NDArray, level: float) -> float:
-        """Bring the table up to date with new scores, which it keeps; return the largest weight.
+        """Bring the table up to date with new scores; return the largest weight.
 
         Afterwards ``best`` is exact wherever it is above ``level`` or the largest of all; below,
-        it may be a bound. The values before the best of an exact entry are exact, too.
+        it may be a bound. Both come out as if the table had been filled, bit for bit.
         """
-        if self._scores is None:
+        if not self._filled:
             self.fill(scores)
             return float(self.best.max())
-        rise = self._mark_changes(scores, self._scores)
-        self._scores = scores
-        self.over_rows(path_update.raise_stale, self.best, self._stale[-1], np.float32(rise),
-                       self._block)
+        rise = self._mark_changes(scores)
+        self.over_rows(path_update.raise_stale, self.best, self._stale_last, np.float32(rise),
+                       self._layout)
+        n_y = self._layout.n_y
+        known, bound = np.empty((2, n_y), np.float32)
+        n_all = len(self._segments) * n_y * self._layout.n_v * self._n_blocks
         while True:
-            wanted = self._wanted(level)
-            if COST_OF_UPDATE * sum(map(path_update.count_blocks, wanted)) > self._n_blocks:
-                self.fill(scores)
+            wanted, wanted_last = self._wanted(level)
+            n_wanted = path_update.count_blocks(wanted_last) * self._layout.n_v + sum(
+                path_update.count_blocks(marks.ravel()) for marks in wanted)
+            if COST_OF_UPDATE * n_wanted > n_all:
+                self._fill()
                 return float(self.best.max())
-            self._compute(scores, wanted)
-            known, bound = path_update.largest_known(self.best, self._stale[-1], self._block)
-            if bound <= known:
-                return float(known)
-            level = min(level, float(known))
+            self._compute(wanted, wanted_last)
+            self.over_rows(path_update.largest_by_row, known, bound, self.best,
+                           self._stale_last, self._layout)
+            largest = float(known.max())
+            if bound.max() <= largest:
+                return largest
+            level = min(level, largest)
 
     def forget(self) -> None:
         """Fill the whole table at the next search."""
-        self._scores = None
+        self._filled = False
+
+    def trace(self, y: int, x: int) -> tuple[NDArray, float]:
+        """Return the best path that starts its last segment at (y, x).
+
+        Returns
+        -------
+        positions : array, shape (T, 2)
+            x and y in grid steps.
+        cost : float
+            Cost of its turns.
+        """
+        graph = self._graph
+        positions = np.empty((graph.n_frames, 2))
+        n_turns = 0
+        before = self._tables[-1] if self._tables else NO_STATES
+        velocity = path_trace.best_velocity(before, self._scores, y, x, self._segments[-1],
+                                            self._layout)
+        for j in range(graph.n_segments - 1, -1, -1):
+            first, last = graph.knots[j], graph.knots[j + 1]
+            positions[first:last] = (x, y) + graph.moves[first:last, velocity]
+            if j > 0:
+                velocity, _, turned = path_trace.best_arrival(
+                    self._tables[j - 1], y, x, velocity, self._segments[j], self._layout)
+                n_turns += turned
+                x = x - int(graph.end_moves[j - 1, velocity, 0])
+                y = y - int(graph.end_moves[j - 1, velocity, 1])
+        return positions, graph.turn_cost * n_turns
 
     def over_rows(self, work: Callable[..., object], *arguments: Any) -> None:
         """Call work(*arguments, first row, last row) for all rows, shared out over threads."""
-        n_y = self._shape[1]
+        n_y = self._layout.n_y
         if self._n_threads == 1 or n_y < 2 * self._n_threads:
             work(*arguments, 0, n_y)
             return
@@ -112,52 +144,99 @@ class PathTable:
         with ThreadPoolExecutor(self._n_threads) as pool:
             list(pool.map(partial(work, *arguments), bounds[:-1], bounds[1:]))
 
-    def _segment(self, scores, segment):
-        """Return what the kernels need to know of a segment."""
-        graph, values = self._graph, self.values
-        before = values[segment - 1] if segment else values[0, :0]
-        return (values[segment], before, scores, graph.moves, graph.end_moves[max(segment - 1, 0)],
-                graph.knots[segment], graph.knots[segment + 1], graph.row_first, graph.row_x,
-                graph.reach, np.float32(graph.turn_cost))
+    @property
+    def _n_blocks(self):
+        return -(-self._layout.lanes // self._layout.block)
 
-    def _mark_changes(self, new, old):
-        """Add to the stale states those that meet a change; return by how much a path may gain."""
-        graph, block = self._graph, self._block
-        n_segments, n_y, _, n_x = self._shape
-        score_marks = np.empty((len(new), n_y), np.uint64)
-        rise = np.empty((n_y, len(new)), np.float32)
-        self.over_rows(path_update.changed_scores, score_marks, rise, new, old,
-                       new.view(np.int32), old.view(np.int32), block)
-        for segment in range(n_segments):
-            before = self._stale[segment - 1] if segment else self._stale[0, :0]
-            self.over_rows(path_update.changed_states, self._stale[segment], before, score_marks,
-                           graph.moves, graph.end_moves[max(segment - 1, 0)],
-                           graph.knots[segment], graph.knots[segment + 1], graph.row_first,
-                           graph.row_x, graph.reach, block, n_x)
-        # Sums of n numbers are wrong by n roundings of their largest, in the old and in the new.
-        size = sum(float(max(abs(frame.min()), abs(frame.max()))) for frame in old)
-        rounding = 4 * (len(new) + n_segments) * np.finfo(np.float32).eps * size
+    def _take_memory(self):
+        if len(self._scores):
+            return
+        layout, n_frames = self._layout, self._graph.n_frames
+        margin = 2 * layout.pad + layout.lanes
+        self._scores = np.full(n_frames * layout.n_y * layout.stride + margin, ABSENT)
+        self._largest = np.empty((layout.n_y, n_frames), np.float32)
+        size = layout.guard + layout.n_y * layout.n_v * layout.stride + margin
+        self._tables = [np.full(size, ABSENT) for _ in self._segments[1:]]
+        self._stale = [np.zeros((layout.n_y, layout.n_v), np.uint64) for _ in self._segments[1:]]
+        self._stale_last = np.zeros(layout.n_y, np.uint64)
+        self.best = np.empty(self._grid_shape, np.float32)
+
+    def _compute(self, wanted, wanted_last):
+        """Compute the wanted states, which are then no longer stale."""
+        before = NO_STATES
+        for table, segment, marks, stale in zip(self._tables, self._segments, wanted,
+                                                self._stale, strict=False):
+            self.over_rows(path_search.extend_paths, table, before, self._scores, segment,
+                           self._layout, marks)
+            stale &= ~marks
+            before = table
+        self.over_rows(path_search.finish_paths, self.best, before, self._scores,
+                       self._segments[-1], self._layout, wanted_last)
+        self._stale_last &= ~wanted_last
+
+    def _mark_changes(self, scores):
+        """Keep new scores, mark the states that meet a change; return what a path may gain."""
+        layout, n_frames = self._layout, len(scores)
+        score_marks = np.empty((n_frames, layout.n_y), np.uint64)
+        rise = np.empty((layout.n_y, n_frames), np.float32)
+        self.over_rows(path_update.replace_scores, self._scores, self._scores.view(np.int32),
+                       score_marks, rise, self._largest, scores,
+                       scores.view(np.int32).ravel(), layout)
+        before = np.empty((0, layout.n_v), np.uint64)
+        last = np.zeros((layout.n_y, layout.n_v), np.uint64)
+        for j, marks in enumerate([*self._stale, last]):
+            frames = slice(self._graph.knots[j], self._graph.knots[j + 1])
+            self.over_rows(path_update.changed_states, marks, before, score_marks[frames],
+                           self._graph.moves[frames], self._segments[j], layout)
+            before = marks
+        self.over_rows(path_update.any_velocity, self._stale_last, last)
+        # A sum of n numbers is wrong by n roundings of their sizes, in the old and in the new.
+        size = float(self._largest.max(axis=0).sum())
+        rounding = 4 * (n_frames + len(self._segments)) * np.finfo(np.float32).eps * size
         return float(rise.max(axis=0).sum()) + rounding
 
     def _wanted(self, level):
         """Return the stale states before those of the last segment that may pass a level."""
-        graph, stale = self._graph, self._stale
-        wanted = np.empty_like(stale)
-        near = np.empty_like(stale[0])
-        self.over_rows(path_update.wanted_last, wanted[-1], stale[-1], self.best, level,
-                       self._block)
-        for segment in range(len(stale) - 1, 0, -1):
-            self.over_rows(path_update.spread_turns, near, wanted[segment], graph.row_first,
-                           graph.row_x, graph.reach)
-            self.over_rows(path_update.wanted_before, wanted[segment - 1], stale[segment - 1],
-                           near, graph.end_moves[segment - 1], self._block)
-        return wanted
+        wanted = [np.empty_like(marks) for marks in self._stale]
+        wanted_last = np.empty_like(self._stale_last)
+        self.over_rows(path_update.wanted_last, wanted_last, self._stale_last, self.best, level,
+                       self._layout)
+        near = np.repeat(wanted_last[:, None], self._layout.n_v, axis=1)
+        for j in range(len(wanted) - 1, -1, -1):
+            self.over_rows(path_update.wanted_before, wanted[j], self._stale[j], near,
+                           self._segments[j + 1].arrival, self._layout)
+            if j > 0:
+                self.over_rows(path_update.spread_turns, near, wanted[j], self._segments[j])
+        return wanted, wanted_last
 
-    def _compute(self, scores, wanted):
-        """Compute the wanted states, which are then no longer stale."""
-        for segment in range(self._graph.n_segments):
-            self.over_rows(path_update.update_segment, *self._segment(scores, segment),
-                           wanted[segment], self._block)
-        self.over_rows(path_update.update_best, self.best, self.values[-1], wanted[-1],
-                       self._block)
-        self._stale &= ~wanted
+
+def _layout(graph, grid_shape):
+    n_y, n_x = grid_shape
+    pad = int(max(np.abs(graph.moves).max(), np.abs(graph.end_moves).max()))
+    stride = VECTOR * -(-(n_x + pad) // VECTOR)
+    lanes = VECTOR * -(-n_x // VECTOR)
+    return path_search.Layout(
+        n_y, n_x, graph.n_velocities, stride, lanes, block=VECTOR * -(-lanes // (VECTOR * BLOCKS)),
+        pad=pad, guard=stride + 2 * pad)
+
+
+def _segment(graph, j, layout):
+    """Return what the compiled loops need to know of a segment."""
+    first, last = graph.knots[j], graph.knots[j + 1]
+    moves = np.asarray(graph.moves[first:last], np.int64)
+    frames = np.arange(first, last)[:, None] * layout.n_y
+    offsets = (frames + moves[:, :, 1]) * layout.stride + moves[:, :, 0]
+    reach = int(graph.reach)
+    lengths = np.diff(graph.row_first)
+    rows = np.repeat(np.arange(len(lengths)), lengths)
+    columns = np.arange(layout.n_v) - graph.row_first[rows] + graph.row_x[rows]
+    velocity_at = np.full((len(lengths) + 2 * reach, columns.max() + 1 + 2 * reach), layout.n_v)
+    velocity_at[rows + reach, columns + reach] = np.arange(layout.n_v)
+    return path_search.Segment(
+        offsets=np.ascontiguousarray(offsets.T),
+        first_y=np.maximum(0, -moves[:, :, 1].min(axis=0)),
+        last_y=layout.n_y - np.maximum(0, moves[:, :, 1].max(axis=0)),
+        arrival=np.asarray(graph.end_moves[j - 1] if j else np.empty((0, 2)), np.int64),
+        slots=(rows + reach) * velocity_at.shape[1] + columns + reach,
+        velocity_at=velocity_at.ravel(), columns=velocity_at.shape[1], reach=reach,
+        cost=np.float32(graph.turn_cost))
