@@ -128,6 +128,12 @@ def test_filled_target_is_not_found_again():
     assert not np.any(np.abs(second.positions - positions).max(axis=1) <= 1)
 
 
+def test_rounds_end_when_one_takes_nothing_out():
+    # A median of equal pixels is that pixel.
+    frames = np.zeros((6, 9, 9), np.float32)
+    assert len(list(extracted(frames, 'mff_dpr', 1, np.asarray, 1))) == 1
+
+
 def crossing_pair():
     """Return two straight trajectories that cross in frame 15."""
     one = np.stack([np.arange(30.0), np.arange(30.0)], axis=1)

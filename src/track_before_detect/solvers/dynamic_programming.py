@@ -93,8 +93,9 @@ def several_targets(frames: NDArray, method: str, v_max: int, n_targets: int, *,
 
 def extracted(frames: NDArray, method: str, v_max: int, observe: Observe, fill_radius: int,
               n_threads: int = 1) -> Iterator[tuple[LinkedTrajectory, NDArray[np.float64]]]:
-    """Go through the rounds of Algorithm 2 (Steps 1-4) for as long as they find anything.
+    """Go through the rounds of Algorithm 2 (Steps 1-4) for as long as they find anything new.
 
+    A round that takes nothing out of the frames is the last: the next would find the same.
     Parameters as in :func:`several_targets`; masked pixels are NaN.
 
     Yields
@@ -116,10 +117,11 @@ def extracted(frames: NDArray, method: str, v_max: int, observe: Observe, fill_r
         seen = np.full(len(left), np.nan)
         seen[present] = observations[present, y, x]
         yield trajectory, seen
-        fill(left, trajectory.positions, fill_radius)
+        if not fill(left, trajectory.positions, fill_radius):
+            return
 
 
-def fill(frames: NDArray, positions: NDArray, radius: int) -> None:
+def fill(frames: NDArray, positions: NDArray, radius: int) -> bool:
     """Replace the pixels around a trajectory by the median around each of them (Eq. 11).
 
     Parameters
@@ -132,6 +134,11 @@ def fill(frames: NDArray, positions: NDArray, radius: int) -> None:
         Half a side, less half a pixel, both of the square that is filled and of the squares that
         medians are taken over, as far as these are inside the frame. It is 1 in the paper; a
         target that covers more pixels needs more, or its rim is found as another target.
+
+    Returns
+    -------
+    bool
+        Whether any pixel changed.
     """
     _, height, width = frames.shape
     present = np.flatnonzero(np.isfinite(positions[:, 0]))
@@ -151,5 +158,8 @@ def fill(frames: NDArray, positions: NDArray, radius: int) -> None:
                  for middle in ((count - 1) // 2, count // 2))
     filled = slice(radius, radius + side)
     t, i, j = np.nonzero(np.isfinite(patches[:, filled, filled]))
-    frames[present[t], rows[t, i + radius, 0], columns[t, 0, j + radius]] = (
-        (low + high)[t, i, j] / 2)
+    places = present[t], rows[t, i + radius, 0], columns[t, 0, j + radius]
+    medians = ((low + high)[t, i, j] / 2).astype(frames.dtype)
+    changed = bool(np.any(frames[places] != medians))
+    frames[places] = medians
+    return changed

@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import correlate1d
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.models.psf import GaussianPsf
@@ -28,6 +27,7 @@ from track_before_detect.solvers.batch_detector import (
 from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.crossings import regularised
 from track_before_detect.solvers.dynamic_programming import extracted
+from track_before_detect.solvers.measurements import measure
 from track_before_detect.solvers.merit_functions import METHODS
 from track_before_detect.solvers.threshold import NoiseStudy
 from track_before_detect.types import Progress
@@ -72,7 +72,7 @@ class MeritDetector(BatchDetector):
             raise ParameterError(f'{name} cannot bound the acceleration: leave '
                                  'max_acceleration_px_s2 automatic')
         self._psf = GaussianPsf(options.psf_sigma_px)
-        self._fill_radius = max(1, math.ceil(FILLED_SIGMAS * options.psf_sigma_px))
+        self._fill_radius = max(1, math.ceil(FILLED_SIGMAS * self._psf.width_px))
 
     def noise_study(self, stamps: NDArray, shape: tuple[int, int]) -> NoiseStudy:
         """Return how to find the largest statistic in noise."""
@@ -87,7 +87,7 @@ class MeritDetector(BatchDetector):
 
             return largest
 
-        return NoiseStudy(f'{self._method.name} {v_max} {n_frames} {self._psf}',
+        return NoiseStudy(f'{self._method.name} {v_max} {n_frames} {self._psf.key}',
                           lambda size: float(size[0] * size[1]), searcher)
 
     def detect(self, frames: NDArray, stamps: NDArray,
@@ -99,7 +99,8 @@ class MeritDetector(BatchDetector):
         Raises
         ------
         DataError
-            Complex frames, too few of them, or stamps that do not come at equal intervals.
+            Complex frames, too small or too few of them, or stamps that do not come at equal
+        intervals.
         """
         places = self._places(frames, stamps)
         shape = frames.shape[1:]
@@ -149,6 +150,11 @@ class MeritDetector(BatchDetector):
         name = self._method.name
         if np.iscomplexobj(frames):
             raise DataError(f'{name} needs real frames, got complex numbers')
+        side = 2 * self._fill_radius + 1
+        if min(frames.shape[1:]) < side:
+            raise DataError(
+                f'{name} takes targets out by medians of {side} x {side} pixels, so frames must '
+                f'be as large, got {frames.shape[2]} x {frames.shape[1]}')
         fewest = max(self._method.fewest_frames, 2)
         if len(frames) < fewest:
             raise DataError(f'{name} needs at least {fewest} frames, got {len(frames)}')
@@ -172,21 +178,9 @@ class MeritDetector(BatchDetector):
         frames : array, shape (T, H, W)
             Frames of unit noise; NaN where masked.
         """
-        taps = self._psf.taps(0.0)
-        valid = np.isfinite(frames)
-        everywhere = bool(valid.all())
-        filtered = _correlated(frames if everywhere else np.where(valid, frames, 0), taps)
-        seen = np.ones(frames.shape[1:], np.float32) if everywhere else valid.astype(np.float32)
-        norms_squared = _correlated(seen, taps**2)
-        filtered *= np.where(norms_squared > LEAST_NORM_SQUARED,
-                             1 / np.sqrt(np.maximum(norms_squared, LEAST_NORM_SQUARED)), 0)
-        return filtered
-
-
-def _correlated(images, taps):
-    """Return images (..., H, W) correlated with the same profile in both directions."""
-    rows = correlate1d(images, taps, axis=-1, mode='constant', output=np.float32)
-    return correlate1d(rows, taps, axis=-2, mode='constant', output=np.float32)
+        measured = measure(frames, self._psf)
+        seen = measured.phi > LEAST_NORM_SQUARED
+        return np.where(seen, measured.psi[0] / np.sqrt(np.where(seen, measured.phi, 1)), 0)
 
 
 def _statistic(seen):
