@@ -39,7 +39,7 @@ def best_path_value(graph, scores):
 def gaussian_stamp(shape, position, sigma, half, valid=None):
     """Return a frame with the unit-norm Gaussian at position (x, y), cut to its stamp."""
     image = np.zeros(shape)
-    centre = np.floor(np.asarray(position) + 0.5).astype(int)
+    centre = np.ceil(np.asarray(position) - 0.5).astype(int)
     for y in range(max(0, centre[1] - half), min(shape[0], centre[1] + half + 1)):
         for x in range(max(0, centre[0] - half), min(shape[1], centre[0] + half + 1)):
             if valid is None or valid[y, x]:
@@ -69,7 +69,7 @@ def psf_picture(psf, position):
                 profile = edges[1] - edges[0]
             else:
                 profile = np.exp(-offset**2 / (2 * psf.sigma_px**2))
-            near = np.abs(pixel - math.floor(centre + 0.5)) <= psf.half_width
+            near = np.abs(pixel - math.ceil(centre - 0.5)) <= psf.half_width
             profiles.append(np.where(near, profile, 0))
         return np.outer(profiles[1], profiles[0])
     # Shifted on a wide canvas by the spline through its samples.

@@ -31,9 +31,6 @@ def test_shrink_beats_a_grid_search(weight):
     assert value(*best) <= everywhere.min() + 1e-12
 
 
-ALL = np.ones((5, 5), bool)
-
-
 @pytest.mark.parametrize(('code', 'allowed'), [
     (SIGNED, lambda x, y: True), (CONSTANT, lambda x, y: x == y)])
 def test_shrink_of_other_models_beats_a_grid_search(code, allowed):
@@ -50,44 +47,22 @@ def test_shrink_of_other_models_beats_a_grid_search(code, allowed):
     assert value(*best) <= value(*points).min() + 1e-12
 
 
-def problem(seed, n_paths=5, n_frames=4):
-    """Return matched filter and overlaps of random stamps, neighbours nearly alike."""
-    generator = np.random.default_rng(seed)
-    columns = generator.random((n_frames, 30, n_paths)) + 0.5 * generator.random((30, 1))
-    columns /= np.linalg.norm(columns, axis=1, keepdims=True)
-    data = columns @ np.array([4.0, 0, 3, 0, 0]) + generator.standard_normal((n_frames, 30))
-    matched = np.einsum('tip,ti->pt', columns, data)
-    gram = np.einsum('tip,tiq->pqt', columns, columns)
-    return np.ascontiguousarray(matched), np.ascontiguousarray(gram)
-
-
-@pytest.mark.parametrize('t', [1.0, 0.4, 0.0])
+@pytest.mark.parametrize('weight', [0.3, 2.0, 4.9])
 @pytest.mark.parametrize('seed', range(4))
-def test_descent_reaches_the_optimality_conditions(seed, t):
-    matched, gram = problem(seed)
-    weights = np.array([3.0, 3.1, 3.0, 3.5, 3.0])
-    amplitudes = np.zeros(matched.shape)
-    sweeps = shrinkage.descend(amplitudes, matched, gram, ALL, weights, t, NON_NEGATIVE, 1e-12,
-                               200000)
-    assert sweeps <= 200000
-    gradient = np.einsum('pqt,qt->pt', gram, amplitudes) - matched
-    for row, slope, weight in zip(amplitudes, gradient, weights, strict=True):
-        norm = np.linalg.norm(row)
-        if norm == 0:
-            assert np.linalg.norm(np.maximum(-slope, 0)) <= t * weight + 1e-6
-        else:
-            total = slope + t * weight * row / norm
-            assert np.abs(total[row > 0]).max() < 1e-6
-            assert (total[row == 0] > -1e-6).all()
+def test_the_norm_found_on_the_line_is_that_of_the_solution(weight, seed):
+    generator = np.random.default_rng(seed)
+    row = generator.standard_normal((2, 5))
+    diagonal = 10**generator.uniform(-3, 3, 5)
+    row[:, 2] = diagonal[2] = 0
+    row *= 5 / np.linalg.norm(row)
+    size = shrinkage.shrunk_norm(row, diagonal, weight)
+    solution = row / (diagonal + weight / size)
+    assert np.linalg.norm(solution) == pytest.approx(size, rel=1e-12)
+    # The gradient of the objective vanishes there.
+    np.testing.assert_allclose(diagonal * solution + weight * solution / size, row, atol=1e-12)
 
 
-def test_each_sweep_lowers_the_objective():
-    matched, gram = problem(7)
-    weights = np.full(5, 3.0)
-    amplitudes = np.zeros(matched.shape)
-    values = [naive.convex_objective(amplitudes, matched, gram, weights, 1.0)]
-    for _ in range(30):
-        shrinkage.descend(amplitudes, matched, gram, ALL, weights, 1.0, NON_NEGATIVE, 0.0, 1)
-        values.append(naive.convex_objective(amplitudes, matched, gram, weights, 1.0))
-    assert (np.diff(values) <= 1e-10).all()
-    assert values[-1] < values[0]
+def test_equal_norms_give_the_closed_form():
+    row = np.random.default_rng(3).standard_normal((1, 7)) * 4
+    size = shrinkage.shrunk_norm(row, np.full(7, 2.0), 1.5)
+    assert size == pytest.approx((np.linalg.norm(row) - 1.5) / 2.0, rel=1e-14)

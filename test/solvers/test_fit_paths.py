@@ -326,7 +326,7 @@ def sparse_design(paths, width):
     """Return the stamps of paths through 1-D frames, shape (T * width, P * T)."""
     n_paths, n_frames = paths.shape[:2]
     x = paths[..., 0].ravel()
-    pixels = np.floor(x[:, None] + 0.5).astype(int) + np.arange(-4, 5)
+    pixels = np.ceil(x[:, None] - 0.5).astype(int) + np.arange(-4, 5)
     values = np.exp(-(pixels - x[:, None])**2 / 2)
     values /= np.linalg.norm(values, axis=1, keepdims=True)
     rows = pixels + width * np.tile(np.arange(n_frames), n_paths)[:, None]

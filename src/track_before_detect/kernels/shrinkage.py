@@ -1,23 +1,17 @@
-"""Group shrinkage and path-wise group coordinate descent in information form.
+"""Group shrinkage in information form: the amplitudes of one path, all others fixed.
 
-Layout of every array
----------------------
-matched : float64 (P, T), h = A^T y of each path in each frame
-gram : float64 (P, P, T), inner products of the unit-norm stamps of two paths in one frame
-touching : bool (P, P), which paths overlap in any frame; the others are passed over
-weights : float64 (P,), lambda of each path
-amplitudes : float64 (P, T), x; solved in place
-
-All columns have unit norm (or are zero), so the Gram matrix of one path is the identity and the
-group shrinkage has the closed form of Algorithm 2.
+Where the columns of a path have one norm in all frames it has the closed form of Algorithm 2;
+where they have not, or frames have weights of their own, the norm of the solution is found on a
+line (Algorithm 1).
 """
 
 import math
 
 import numba
-import numpy as np
 
 _COMPILE = {'nogil': True, 'cache': True}
+# Newton steps on a concave function of one variable; a handful settle all digits.
+MOST_LINE_STEPS = 60
 
 
 @numba.njit(**_COMPILE)
@@ -43,28 +37,36 @@ def shrink(row, weight, model):
 
 
 @numba.njit(**_COMPILE)
-def descend(amplitudes, matched, gram, touching, weights, t_convex, model, tolerance,
-            max_sweeps):
-    """Minimise 1/2 x'Gx - h'x + t sum_p w_p |x_p| path by path (Algorithm 3).
+def shrunk_norm(row, diagonal, weight):
+    """Return the norm s of the minimiser of 1/2 x'Dx - h'x + weight |x| (Patent Eq. 10-11).
 
-    Stops when no amplitude of a sweep moved by more than ``tolerance``; returns the sweeps made,
-    ``max_sweeps + 1`` when that many were not enough.
+    The minimiser is x_k = h_k / (d_k + weight / s), the s that fits its own norm found on a line
+    (Algorithm 1): s -> |x(s) / s|^-1 is concave, and a line where all entries of D are equal, so
+    that Newton steps from s = 0 climb to its crossing of one and never pass it.
+
+    Parameters
+    ----------
+    row : array, shape (D, T)
+        h, already non-negative where the amplitudes have to be.
+    diagonal : array, shape (T,)
+        Entries of the diagonal matrix, above zero wherever ``row`` is not zero.
+    weight : float
+        Above zero.
     """
-    n_paths, n_frames = amplitudes.shape
-    row = np.empty(n_frames)
-    for sweep in range(max_sweeps):
-        largest = 0.0
-        for p in range(n_paths):
-            for k in range(n_frames):
-                row[k] = matched[p, k]
-            for q in range(n_paths):
-                if q != p and touching[p, q]:
-                    for k in range(n_frames):
-                        row[k] -= gram[p, q, k] * amplitudes[q, k]
-            shrink(row, t_convex * weights[p], model)
-            for k in range(n_frames):
-                largest = max(largest, abs(row[k] - amplitudes[p, k]))
-                amplitudes[p, k] = row[k]
-        if largest <= tolerance:
-            return sweep + 1
-    return max_sweeps + 1
+    size = 0.0
+    for _ in range(MOST_LINE_STEPS):
+        total = 0.0
+        slope = 0.0
+        for d in range(row.shape[0]):
+            for k in range(row.shape[1]):
+                below = size * diagonal[k] + weight
+                part = (row[d, k] / below)**2
+                total += part
+                slope += part * diagonal[k] / below
+        if total <= 1.0 or slope == 0.0:
+            break
+        step = (math.sqrt(total) - 1.0) * total / slope
+        size += step
+        if step <= 1e-15 * size:
+            break
+    return size

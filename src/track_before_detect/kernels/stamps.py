@@ -5,7 +5,8 @@ Layout of every array
 optics : Optics, see the module ``profiles``
 positions : float64 (T, 2), column x and row y in pixels
 stamps : float64 (T, K, K), K = 2 half + 1, rows are y
-origins : int64 (T, 2), pixel (x, y) of stamps[t, 0, 0]; may lie outside the frame
+origins : int64 (T, 2), pixel (x, y) of stamps[t, 0, 0]; may lie outside the frame. Halfway between
+    two pixels a stamp is centred on the first, as the matched filter on its grid is.
 frames : float32 or complex64 (T, H, W), in units of the noise of each pixel, masked pixels zero
 weights : float32 (T, H, W), one over the noise of each pixel, zero where masked; of one frame
     where it is the same in all, of no frames where it is one everywhere
@@ -30,8 +31,8 @@ LEAST_SHARE = 1e-3
 def _place(optics, positions, t, ones, rows, row_slopes, columns, column_slopes):
     """Fill the profiles of frame t; return the first pixel of the stamp."""
     smear_x, smear_y = smear_of(optics, positions, t)
-    x_0 = int(math.floor(positions[t, 0] + 0.5)) - optics.half
-    y_0 = int(math.floor(positions[t, 1] + 0.5)) - optics.half
+    x_0 = int(math.ceil(positions[t, 0] - 0.5)) - optics.half
+    y_0 = int(math.ceil(positions[t, 1] - 0.5)) - optics.half
     fill_profiles(optics, positions[t, 1], smear_y, 0, y_0, optics.shares, rows, row_slopes)
     fill_profiles(optics, positions[t, 0], smear_x, 1, x_0, ones, columns, column_slopes)
     return x_0, y_0

@@ -11,6 +11,7 @@ from scipy.optimize import nnls
 from scipy.sparse.csgraph import connected_components
 
 from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.kernels import cells as cell_kernels
 from track_before_detect.kernels import group_lasso
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.types import Step
@@ -156,7 +157,7 @@ def _checked_paths(paths, shape):
         raise DataError(f'paths must have the shape (P, {n_frames}, 2) for {n_frames} frames, '
                         f'got the shape {paths.shape}')
     paths = np.ascontiguousarray(paths, np.float64)
-    outside = group_lasso.find_outside(paths, height, width)
+    outside = cell_kernels.find_outside(paths, height, width)
     if outside >= 0:
         path, frame = divmod(outside, n_frames)
         x, y = paths[path, frame].tolist()
@@ -193,7 +194,7 @@ def _numbered(paths):
     """Return the place of each path in each frame, (P, T), and the keys of the places."""
     bits, enough = LEAST_TABLE_BITS, 2 * paths.shape[0] * paths.shape[1]
     while True:
-        places, keys, fits = group_lasso.number_places(paths, bits)
+        places, keys, fits = cell_kernels.number_places(paths, bits)
         if fits:
             return places, keys
         bits = min(bits + 3, enough.bit_length())
@@ -209,14 +210,14 @@ class _Problem:
         if not isinstance(psf, GaussianPsf):
             psf = _checked_psf(psf)
         places, keys = _numbered(paths)
-        self.cells, self.cell_place, self.cell_frame = group_lasso.number_cells(places, len(keys))
+        self.cells, self.cell_place, self.cell_frame = cell_kernels.number_cells(places, len(keys))
         if isinstance(psf, GaussianPsf):
-            self.stamps, self.origins = group_lasso.render_gaussians(
+            self.stamps, self.origins = cell_kernels.render_gaussians(
                 keys, float(psf.sigma_px), psf.half_width, height, width)
         else:
-            self.stamps, self.origins = group_lasso.render_array(keys, psf, height, width)
+            self.stamps, self.origins = cell_kernels.render_array(keys, psf, height, width)
         if valid is not None:
-            self.stamps, self.origins = group_lasso.mask_stamps(
+            self.stamps, self.origins = cell_kernels.mask_stamps(
                 self.stamps, self.origins, self.cell_place, self.cell_frame, valid)
             self.cell_place = np.arange(len(self.cell_place), dtype=np.int32)
         # In 64 bits, for batches of more than 2^31 pixels.
@@ -228,7 +229,7 @@ class _Problem:
         return len(self.cells)
 
     def seen(self, residual, chosen, out):
-        group_lasso.correlate_cells(chosen, self.stamps, self.starts, self.cell_place, residual,
+        cell_kernels.correlate_cells(chosen, self.stamps, self.starts, self.cell_place, residual,
                                     out)
 
     def places(self, members):
@@ -236,7 +237,7 @@ class _Problem:
 
     def residual(self, members, amplitudes):
         residual = self.data.copy()
-        group_lasso.subtract(members, amplitudes, self.cells, self.stamps, self.origins,
+        cell_kernels.subtract(members, amplitudes, self.cells, self.stamps, self.origins,
                              self.cell_place, residual)
         return residual
 
@@ -340,7 +341,7 @@ class _WorkingSet:
         """Return the convex objective, its gap and the largest statistic of the paths priced."""
         problem, weight = self._problem, self._weight
         problem.seen(residual, self._cells, self._seen)
-        largest = group_lasso.price(self._near, problem.cells, self._seen, self._non_negative,
+        largest = cell_kernels.price(self._near, problem.cells, self._seen, self._non_negative,
                                     self._statistics)
         energy = float(np.vdot(residual, residual))
         convex = 0.5 * energy + weight * float(norms.sum())
@@ -356,7 +357,7 @@ class _WorkingSet:
         near = self._statistics > FOCUS * self._weight
         near[self._members] = True
         paths = np.flatnonzero(near)
-        self._look_at(paths, group_lasso.cells_of(paths, self._problem.cells,
+        self._look_at(paths, cell_kernels.cells_of(paths, self._problem.cells,
                                                   len(self._all_cells)))
 
     def _look_at(self, paths, cells):
@@ -380,14 +381,14 @@ class _WorkingSet:
         most = max(FEWEST_NEW, len(self._members))
         order = np.argsort(-self._statistics[violating])[:CANDIDATES_PER_NEW * most]
         candidates = violating[order]
-        new = candidates[group_lasso.pick(problem.places(candidates), most, ALIKE,
+        new = candidates[cell_kernels.pick(problem.places(candidates), most, ALIKE,
                                           problem.stamps, problem.origins)]
         n_old = len(self._members)
         n_all = n_old + len(new)
         gram = np.empty((n_all, n_all, self._gram.shape[2]))
         gram[:n_old, :n_old] = self._gram
         self._members = np.concatenate([self._members, new])
-        group_lasso.relate(problem.places(self._members), n_old, problem.stamps, problem.origins,
+        cell_kernels.relate(problem.places(self._members), n_old, problem.stamps, problem.origins,
                            gram)
         self._gram = gram
         self._amplitudes = np.concatenate(
@@ -426,7 +427,7 @@ def _least_squares(problem, lam, non_negative):
     residual = problem.residual(np.arange(problem.n_paths), rows)
     seen = np.zeros((n_parts, len(problem.cell_place)))
     problem.seen(residual, np.arange(seen.shape[1]), seen)
-    largest = group_lasso.price(np.arange(problem.n_paths), problem.cells, seen, non_negative,
+    largest = cell_kernels.price(np.arange(problem.n_paths), problem.cells, seen, non_negative,
                                 np.zeros(problem.n_paths))
     n_active = int(np.count_nonzero(rows.any(axis=(1, 2))))
     objective = 0.5 * float(np.vdot(residual, residual)) + 0.5 * lam**2 * n_active

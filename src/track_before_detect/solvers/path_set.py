@@ -15,15 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from track_before_detect.kernels import shrinkage
 from track_before_detect.kernels import stamps as stamp_kernels
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import Psf
+from track_before_detect.solvers.path_fit import fit_amplitudes, objective
 
-# Sweeps of coordinate descent that settle the amplitudes of a scene, and those that are enough to
-# see whether a change of few paths pays.
-MOST_SWEEPS = 5000
-FEW_SWEEPS = 60
+# Duality gap, in units of F_t, to which amplitudes are fitted: F_t is compared to 1e-3.
+FIT_GAP = 1e-4
 
 
 class PathSet:
@@ -50,6 +48,10 @@ class PathSet:
         Cost of the turns and of being present, which raises lambda of the path.
     settled : list of bool
         Whether a path was refined where it is, apart from all others.
+    weights : array, shape (P,)
+        lambda of each path.
+    matched : array, shape (P, T)
+        Matched filter of the data along each path.
     amplitudes : array, shape (P, T)
     residual : float32 array, shape (T, H, W)
         Frames less the fit.
@@ -69,19 +71,18 @@ class PathSet:
         self._origins: list[NDArray] = []
         n_frames = len(frames)
         self.matched = np.empty((0, n_frames))
-        self.gram = np.empty((0, 0, n_frames))
+        self.weights = np.empty(0)
         self.amplitudes = np.empty((0, n_frames))
-        self._touching = np.empty((0, 0), bool)
+        # Most paths of a large scene are far apart: only the overlaps of those that meet are
+        # held, one row for each pair; row 0, of zeros, stands for all others.
+        self._pairs = np.empty((0, 0), np.int32)
+        self._overlaps = np.zeros((64, n_frames))
+        self._free_rows = list(range(63, 0, -1))
         self.residual = frames.copy()
         self.energy = 0.5 * float(np.einsum('tyx,tyx->', frames, frames, dtype=np.float64))
 
     def __len__(self) -> int:
         return len(self.positions)
-
-    @property
-    def weights(self) -> NDArray[np.float64]:
-        """Weight lambda of each path, shape (P,)."""
-        return np.array([self.model.weight(self.threshold, cost) for cost in self.costs], float)
 
     def add(self, positions: NDArray, cost: float) -> None:
         """Append a path with amplitude zero."""
@@ -91,15 +92,12 @@ class PathSet:
         stamps, origins = self._render(positions)
         self._stamps.append(stamps)
         self._origins.append(origins)
-        n_paths, n_frames = len(self), len(self.frames)
-        for name, shape in (('matched', (n_paths, n_frames)), ('amplitudes', (n_paths, n_frames)),
-                            ('gram', (n_paths, n_paths, n_frames)),
-                            ('_touching', (n_paths, n_paths))):
-            old = getattr(self, name)
-            grown = np.zeros(shape, old.dtype)
-            grown[tuple(slice(0, n) for n in old.shape)] = old
-            setattr(self, name, grown)
-        self._relate(n_paths - 1)
+        nothing = np.zeros((1, len(self.frames)))
+        self.matched = np.concatenate([self.matched, nothing])
+        self.amplitudes = np.concatenate([self.amplitudes, nothing])
+        self.weights = np.append(self.weights, self.model.weight(self.threshold, cost))
+        self._pairs = np.pad(self._pairs, (0, 1))
+        self._relate(len(self) - 1)
 
     def move(self, path: int, positions: NDArray, cost: float) -> None:
         """Put a path elsewhere, its amplitudes unchanged."""
@@ -107,6 +105,7 @@ class PathSet:
         self.positions[path] = positions
         self.costs[path] = cost
         self.settled[path] = False
+        self.weights[path] = self.model.weight(self.threshold, cost)
         self._stamps[path], self._origins[path] = self._render(positions)
         self._relate(path)
         self._take(path, 1.0)
@@ -123,12 +122,13 @@ class PathSet:
         self._origins = [self._origins[p] for p in keep]
         self.matched = self.matched[keep]
         self.amplitudes = self.amplitudes[keep]
-        self.gram = self.gram[np.ix_(keep, keep)]
-        self._touching = self._touching[np.ix_(keep, keep)]
+        self.weights = self.weights[keep]
+        self._release(np.unique(self._pairs[paths]))
+        self._pairs = self._pairs[np.ix_(keep, keep)]
 
-    def fitted(self, members: NDArray, t_convex: float, tolerance: float,
-               most_sweeps: int = FEW_SWEEPS) -> tuple[float, NDArray, bool]:
-        """Fit the amplitudes of some paths, all others fixed.
+    def fitted(self, members: NDArray, t_convex: float,
+               gap: float = FIT_GAP) -> tuple[float, NDArray, bool]:
+        """Fit the amplitudes of some paths to a duality gap, all others fixed.
 
         Returns
         -------
@@ -138,29 +138,25 @@ class PathSet:
         converged : bool
         """
         problem = self._problem(members)
-        amplitudes = self.amplitudes[members]
-        sweeps = shrinkage.descend(amplitudes, *problem, t_convex, self.model.code, tolerance,
-                                   most_sweeps)
-        matched, gram, _, weights = problem
-        return (objective(amplitudes, matched, gram, weights, t_convex), amplitudes,
-                sweeps <= most_sweeps)
+        amplitudes, converged = fit_amplitudes(self.amplitudes[members], *problem, t_convex,
+                                               self.model, self.energy, gap)
+        return objective(amplitudes, *problem, t_convex), amplitudes, converged
 
     def objective_of(self, members: NDArray, t_convex: float) -> float:
         """Return F_t as far as it depends on some paths, all others fixed."""
-        matched, gram, _, weights = self._problem(members)
-        return objective(self.amplitudes[members], matched, gram, weights, t_convex)
+        return objective(self.amplitudes[members], *self._problem(members), t_convex)
 
-    def _problem(self, members):
+    def _problem(self, members: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Return matched filter less the fit of all other paths, overlaps and weights."""
-        others = self._touching[members].any(axis=0)
-        others[members] = False
+        pairs = self._pairs[members]
+        met = pairs.any(axis=0)
+        met[members] = False
         matched = self.matched[members]
-        if others.any():
-            outside = np.flatnonzero(others)
-            matched -= np.einsum('pqt,qt->pt', self.gram[np.ix_(members, outside)],
-                                 self.amplitudes[outside])
-        pairs = np.ix_(members, members)
-        return matched, self.gram[pairs], self._touching[pairs], self.weights[members]
+        if met.any():
+            others = np.flatnonzero(met)
+            matched -= np.einsum('pqt,qt->pt', self._overlaps[pairs[:, others]],
+                                 self.amplitudes[others])
+        return matched, self._overlaps[pairs[:, members]], self.weights[members]
 
     def assign(self, members: NDArray, amplitudes: NDArray) -> None:
         """Set the amplitudes of some paths and bring the residual up to date."""
@@ -174,20 +170,34 @@ class PathSet:
 
     def neighbours(self, path: int) -> NDArray[np.int64]:
         """Return the paths that overlap this one in some frame, itself included."""
-        near = self._touching[path].copy()
+        near = self._pairs[path] > 0
         near[path] = True
         return np.flatnonzero(near)
 
     def clusters(self) -> list[NDArray[np.int64]]:
         """Return the sets of paths that overlap, directly or through others."""
-        _, labels = connected_components(self._touching, directed=False)
+        _, labels = connected_components(self._pairs, directed=False)
         order = np.argsort(labels, kind='stable')
         return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1) if len(order) else []
 
     def objective(self, t_convex: float) -> float:
         """Return F_t, the energy of the data included."""
-        return self.energy + objective(self.amplitudes, self.matched, self.gram, self.weights,
-                                       t_convex)
+        fit = np.sum(self.amplitudes * self.explained())
+        norms = np.sqrt(np.einsum('pt,pt->p', self.amplitudes, self.amplitudes))
+        used = self.weights[norms > 0]
+        return float(self.energy + 0.5 * fit - np.sum(self.matched * self.amplitudes)
+                     + t_convex * np.sum(self.weights * norms)
+                     + 0.5 * (1 - t_convex)**2 * math.fsum(used**2))
+
+    def explained(self) -> NDArray[np.float64]:
+        """Return the matched filter of the fit along each path, shape (P, T)."""
+        first, second = np.nonzero(self._pairs)
+        products = self._overlaps[self._pairs[first, second]] * self.amplitudes[second]
+        total = np.zeros_like(self.amplitudes)
+        if len(first):
+            starts = np.flatnonzero(np.diff(first, prepend=-1))
+            total[first[starts]] = np.add.reduceat(products, starts)
+        return total
 
     @contextmanager
     def without(self, path: int) -> Iterator[NDArray]:
@@ -200,14 +210,15 @@ class PathSet:
 
     def similarity(self, path: int) -> NDArray:
         """Return the mean overlap with every path while a path is present, shape (P,)."""
-        present = np.count_nonzero(self.gram[path, path])
-        return self.gram[path].sum(axis=1) / max(present, 1)
+        overlaps = self._overlaps[self._pairs[path]]
+        return overlaps.sum(axis=1) / max(np.count_nonzero(overlaps[path]), 1)
 
     def seen(self, path: int) -> NDArray:
         """Return the matched filter statistic along a path, the other paths taken off, (T,)."""
-        others = np.einsum('qt,qt->t', self.gram[path], self.amplitudes)
-        own = self.gram[path, path] * self.amplitudes[path]
-        return self.matched[path] - others + own
+        others = np.flatnonzero(self._pairs[path])
+        others = others[others != path]
+        return self.matched[path] - np.einsum(
+            'qt,qt->t', self._overlaps[self._pairs[path, others]], self.amplitudes[others])
 
     def statistic_of(self, positions: NDArray) -> float:
         """Return the statistic of any path on the residual."""
@@ -244,31 +255,25 @@ class PathSet:
         """Fill the matched filter and the overlaps of one path."""
         stamp_kernels.correlate(self._stamps[path], self._origins[path], self.frames,
                                 self.matched[path])
-        for other in range(len(self)):
-            stamp_kernels.overlap(self._stamps[path], self._origins[path], self._stamps[other],
-                                  self._origins[other], self.gram[path, other])
-            self.gram[other, path] = self.gram[path, other]
-        touching = np.any(self.gram[path], axis=1)
-        self._touching[path] = touching
-        self._touching[:, path] = touching
+        self._release(np.unique(self._pairs[path]))
+        self._pairs[path] = 0
+        self._pairs[:, path] = 0
+        stamps, origins = self._stamps[path], self._origins[path]
+        size = stamps.shape[1]
+        product = np.empty(len(self.frames))
+        apart = np.abs(np.array(self._origins) - origins).max(axis=2)
+        for other in np.flatnonzero(apart.min(axis=1) < size):
+            stamp_kernels.overlap(stamps, origins, self._stamps[other], self._origins[other],
+                                  product)
+            if product.any():
+                if not self._free_rows:
+                    n_rows = len(self._overlaps)
+                    self._overlaps = np.concatenate([self._overlaps, self._overlaps])
+                    self._free_rows = list(range(2 * n_rows - 1, n_rows - 1, -1))
+                row = self._free_rows.pop()
+                self._overlaps[row] = product
+                self._pairs[path, other] = self._pairs[other, path] = row
 
-
-def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
-              t_convex: float) -> float:
-    """Return F_t without the energy of the data.
-
-    F_t = 1/2 x'Gx - h'x + t sum w_p |x_p| + 1/2 (1 - t)^2 sum of w_p^2 over paths with x_p != 0
-
-    Parameters
-    ----------
-    amplitudes, matched : array, shape (P, T)
-    gram : array, shape (P, P, T)
-    weights : array, shape (P,)
-    t_convex : float
-        t, from 1 (convex) to 0 (combinatorial).
-    """
-    norms = np.sqrt(np.einsum('pt,pt->p', amplitudes, amplitudes))
-    fit = np.einsum('pt,pqt,qt->', amplitudes, gram, amplitudes)
-    used = weights[norms > 0]
-    return float(0.5 * fit - np.sum(matched * amplitudes) + t_convex * np.sum(weights * norms)
-                 + 0.5 * (1 - t_convex)**2 * math.fsum(used**2))
+    def _release(self, rows):
+        """Let rows of the overlaps be used again."""
+        self._free_rows += [int(row) for row in rows if row]

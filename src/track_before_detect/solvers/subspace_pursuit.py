@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.solvers.path_search import PathSearch
-from track_before_detect.solvers.path_set import FEW_SWEEPS, MOST_SWEEPS, PathSet
+from track_before_detect.solvers.path_set import FIT_GAP, PathSet
 from track_before_detect.solvers.refinement import Refiner
 from track_before_detect.types import Step
 
@@ -40,6 +40,14 @@ MOST_PASSES = 5
 WORTHWHILE = 0.5
 # A change has to lower F_t by more than the rounding of the sums and of the amplitudes.
 LEAST_GAIN = 1e-3
+# Rounds in which a convex solution that is the result may move its paths off the grid. After them
+# its columns are fixed, the paths of the grid and those it holds, and adding those that violate
+# their bound has an end.
+MOVING_ROUNDS = 3
+# Share of the separation of new paths at which they are added then, for neighbours are wanted.
+SIDE_BY_SIDE = 0.3
+# Duality gap of the amplitudes of a convex solution that is the result.
+CERTIFIED_GAP = 1e-9
 
 
 @dataclass(frozen=True)
@@ -137,11 +145,12 @@ def duality_gap(paths: PathSet, largest: float) -> float:
     scale = 1.0
     if largest > 0:
         scale = min(scale, paths.threshold / paths.model.from_value(largest))
-    left = paths.matched - np.einsum('pqt,qt->pt', paths.gram, paths.amplitudes)
+    explained = paths.explained()
+    left = paths.matched - explained
     seen = np.array([paths.model.statistic(row) for row in left])
     if len(paths):
         scale = min(scale, float(np.min(paths.weights / np.maximum(seen, 1e-300))))
-    fit = np.einsum('pt,pqt,qt->', paths.amplitudes, paths.gram, paths.amplitudes)
+    fit = np.sum(paths.amplitudes * explained)
     cross = np.sum(paths.matched * paths.amplitudes)
     residual_energy = paths.energy - cross + 0.5 * fit
     data_times_residual = 2 * paths.energy - cross
@@ -158,10 +167,11 @@ class _Stage:
         self._paths = paths
         self._separation = separation
         self._t = t_convex
-        # Amplitudes have a noise of one; only a convex solution that is the last is wanted to
-        # more digits, for its certificate. Moving the many neighbours of a bright target until
-        # they settle would be wasted before the last stage: most vanish in the next.
-        self._amplitude_tolerance = 1e-7 if last and t_convex == 1.0 else 1e-4
+        # Only a convex solution that is the last is wanted to more digits, for its certificate.
+        # Moving the many neighbours of a bright target until they settle would be wasted before
+        # the last stage: most vanish in the next.
+        self._certified = last and t_convex == 1.0
+        self._fit_gap = CERTIFIED_GAP if self._certified else FIT_GAP
         self._most_passes = MOST_PASSES if last and t_convex < 1 else 1
 
     def run(self, tolerance, most_rounds, history):
@@ -169,18 +179,24 @@ class _Stage:
         paths = self._paths
         bound = paths.model.value(paths.threshold * (1 + tolerance))
         largest = 0.0
-        for _ in range(most_rounds):
-            fitted = self._improve()
+        for number in range(most_rounds):
+            frozen = self._certified and number >= MOVING_ROUNDS
+            fitted = self._fit_all() if frozen else self._improve()
             paths.refresh()
+            separation = SIDE_BY_SIDE * self._separation if frozen else self._separation
             largest, found = self._search.best_paths(
-                paths.residual, bound, self._separation, self._is_new(), MOST_NEW_PATHS)
+                paths.residual, bound, separation, self._is_new(separation), MOST_NEW_PATHS)
             violation = paths.model.from_value(largest) / paths.threshold - 1
             history.append(Step(self._t, paths.objective(self._t), len(paths), violation))
             if not found:
                 return largest, fitted and largest <= bound
             if len(paths) >= MOST_PATHS:
                 return largest, False
-            if not sum([self._try_adding(path) for path in found]):
+            if frozen:
+                if not sum([self._add_violating(path, tolerance) for path in found]):
+                    # What the search saw is the rounding of its single precision.
+                    return bound, fitted
+            elif not sum([self._try_adding(path) for path in found]) and not self._certified:
                 # The best path does not lower F_t once the others are fitted with it.
                 return largest, self._t < 1
         return largest, False
@@ -193,14 +209,14 @@ class _Stage:
                             float('nan')))
         return fitted
 
-    def _is_new(self):
+    def _is_new(self, separation):
         """Return a test for paths that still pass the threshold beside those found so far."""
         taken: list[NDArray] = []
 
         def is_new(positions):
             for other in taken:
                 distance = np.hypot(*(positions - other).T)
-                near = distance[np.isfinite(distance)] < self._separation
+                near = distance[np.isfinite(distance)] < separation
                 if len(near) and near.mean() > 0.25:
                     return False
             taken.append(positions)
@@ -219,20 +235,35 @@ class _Stage:
         self._refine(added)
         members = paths.neighbours(added)
         before = paths.objective_of(members, self._t)
-        after, amplitudes, _ = paths.fitted(members, self._t, self._amplitude_tolerance)
+        after, amplitudes, _ = paths.fitted(members, self._t, self._fit_gap)
         if after < before - LEAST_GAIN:
             paths.assign(members, amplitudes)
             return True
         paths.remove(np.array([added]))
         return False
 
+    def _add_violating(self, found, tolerance):
+        """Add a path of the grid as it is when it passes its weight, the amplitudes fixed."""
+        paths = self._paths
+        paths.add(found.positions, found.cost)
+        added = len(paths) - 1
+        if (paths.model.statistic(paths.seen(added))
+                > (1 + tolerance) * paths.weights[added]):
+            return True
+        paths.remove(np.array([added]))
+        return False
+
+    def _fit_all(self):
+        fitted = True
+        for members in self._paths.clusters():
+            fitted = self._fit(members) and fitted
+        self._drop_empty()
+        return fitted
+
     def _improve(self):
         """Fit, refine, merge and remove paths for as long as F_t falls."""
         paths = self._paths
-        fitted = True
-        for members in paths.clusters():
-            fitted = self._fit(members, MOST_SWEEPS) and fitted
-        self._drop_empty()
+        fitted = self._fit_all()
         for _ in range(self._most_passes):
             before = paths.objective(self._t)
             order = np.argsort(np.linalg.norm(paths.amplitudes, axis=1))
@@ -270,9 +301,8 @@ class _Stage:
             if len(others):
                 self._fit(others - (others > weakest))
 
-    def _fit(self, members, most_sweeps=FEW_SWEEPS):
-        _, amplitudes, converged = self._paths.fitted(
-            members, self._t, self._amplitude_tolerance, most_sweeps)
+    def _fit(self, members):
+        _, amplitudes, converged = self._paths.fitted(members, self._t, self._fit_gap)
         self._paths.assign(members, amplitudes)
         return converged
 
@@ -305,7 +335,7 @@ class _Stage:
         members = self._paths.neighbours(path)
         before = paths.objective_of(members, self._t)
         others = members[members != path]
-        after, amplitudes, _ = paths.fitted(others, self._t, self._amplitude_tolerance)
+        after, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
         if after < before - LEAST_GAIN:
             paths.assign(others, amplitudes)
             paths.remove(np.array([path]))
@@ -323,10 +353,10 @@ class _Stage:
         kept = (paths.amplitudes.copy(), paths.positions[other], paths.costs[other])
         others = members[members != path]
         paths.assign(np.array([path]), np.zeros((1, paths.amplitudes.shape[1])))
-        _, amplitudes, _ = paths.fitted(others, self._t, self._amplitude_tolerance)
+        _, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
         paths.assign(others, amplitudes)
         self._refine(other)
-        after, amplitudes, _ = paths.fitted(others, self._t, self._amplitude_tolerance)
+        after, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
         if after < before - LEAST_GAIN:
             paths.assign(others, amplitudes)
             paths.remove(np.array([path]))

@@ -1,0 +1,91 @@
+"""Amplitudes of a few paths that overlap, at any t and for any amplitude model."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.kernels import group_lasso, least_squares
+from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, SIGNED
+
+MOST_ROUNDS = 200
+# Share of the energy of the data below which a duality gap is lost in rounding.
+ROUNDING = 1e-12
+
+
+def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
+                   t_convex: float, model: AmplitudeModel, energy: float,
+                   gap: float) -> tuple[NDArray, bool]:
+    """Minimise 1/2 x'Gx - h'x + t sum w_p |x_p| over the amplitudes x of given paths.
+
+    Parameters
+    ----------
+    amplitudes : array, shape (P, T)
+        Where to start.
+    matched : array, shape (P, T)
+        Inner products h of the stamps with the data.
+    gram : array, shape (P, P, T)
+        Inner products of the stamps of two paths in one frame.
+    weights : array, shape (P,)
+        lambda of each path.
+    t_convex : float
+        t, from 1 (convex) to 0 (combinatorial).
+    model : AmplitudeModel
+        What amplitudes may be.
+    energy : float
+        Half the squared norm of the data.
+    gap : float
+        Duality gap to reach where t > 0; at t = 0 the optimum is reached to rounding.
+
+    Returns
+    -------
+    amplitudes : array, shape (P, T)
+    converged : bool
+    """
+    n_frames = amplitudes.shape[1]
+    constant = model.code == CONSTANT
+    if constant:
+        # One amplitude for each path: its column joins all frames.
+        x = amplitudes[:, :1] * math.sqrt(n_frames)
+        matched = matched.sum(axis=1, keepdims=True) / math.sqrt(n_frames)
+        gram = gram.sum(axis=2, keepdims=True) / n_frames
+    else:
+        x = amplitudes.copy()
+    non_negative = model.code != SIGNED
+    if t_convex == 0.0:
+        x = x[:, None]
+        converged = least_squares.solve(x, np.ascontiguousarray(matched)[:, None],
+                                        np.ascontiguousarray(gram), non_negative)
+    else:
+        # Columns over their weights have the one weight t.
+        x = (x * weights[:, None])[:, None]
+        wanted = max(gap, ROUNDING * energy)
+        reached, _ = group_lasso.solve(
+            x, (matched / weights[:, None])[:, None],
+            gram / (weights[:, None] * weights)[:, :, None], np.empty_like(x), t_convex,
+            non_negative, energy, wanted, MOST_ROUNDS)
+        converged = reached <= wanted
+        x /= weights[:, None, None]
+    fitted = x[:, 0]
+    return (np.repeat(fitted / math.sqrt(n_frames), n_frames, axis=1) if constant else fitted,
+            converged)
+
+
+def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
+              t_convex: float) -> float:
+    """Return F_t without the energy of the data.
+
+    F_t = 1/2 x'Gx - h'x + t sum w_p |x_p| + 1/2 (1 - t)^2 sum of w_p^2 over paths with x_p != 0
+
+    Parameters
+    ----------
+    amplitudes, matched, gram, weights, t_convex
+        As in :func:`fit_amplitudes`.
+    """
+    explained = np.einsum('pqt,qt->pt', gram, amplitudes)
+    norms = np.sqrt(np.einsum('pt,pt->p', amplitudes, amplitudes))
+    return float(np.sum(amplitudes * (0.5 * explained - matched))
+                 + t_convex * np.sum(weights * norms)
+                 + 0.5 * (1 - t_convex)**2 * np.sum(weights[norms > 0]**2))
