@@ -77,7 +77,7 @@ def test_report_names_the_best_method_of_each_scene(stand_ins, tmp_path):
     ahead = values['arc, SNR 3: convex minus the best other']
     assert ahead.value > 0 and ahead.note.endswith('convex is best')
     assert values['noise of 6 x 50 x 50 with a trajectory: mt_dp'].value == 1.0
-    assert len(result.rows) == (8 * 3 * 12 + 2 * 24) * (len(DETECTORS) + 1)
+    assert len(result.rows) == (8 * 3 * 12 + 2 * 24) * (len(DETECTORS) + 2)
     write_suite_result(tmp_path, 'compare', result, 'the command')
     report = (tmp_path / 'report.md').read_text()
     assert '| arc | 3 | **100** |' in report

@@ -17,7 +17,13 @@ from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
 
 SNRS = (1.5, 2.0, 3.0)
 RATE = 0.05
-OURS, FLUCTUATING = 'convex', 'convex, fluctuating'
+OURS = 'convex'
+# The convex detector without what is known of the targets.
+VARIANTS = {
+    'convex, fluctuating': {'detector': OURS, 'amplitude_model': 'fluctuating'},
+    'convex, partial': {'detector': OURS, 'amplitude_model': 'fluctuating',
+                        'presence': 'partial'},
+}
 NOISES = ('noise', 'noise six')
 # Points by which the convex detector may be behind.
 MARGIN = 0.02
@@ -58,7 +64,8 @@ def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
         f'{runs} batches per scene and SNR: 20 frames of 96 x 96 pixels (the six targets of Guo '
         'et al. 2018, Section 4.2: 6 frames of 50 x 50), PSF of 1 px, targets of constant '
         'amplitude, which every method is told; "convex, fluctuating" is the convex detector '
-        'without that knowledge. Lines and arcs (20 px radius) at 0.2 to 1 px/frame, two parallel '
+        'without that knowledge, "convex, partial" also without that of targets being there in '
+        'all frames. Lines and arcs (20 px radius) at 0.2 to 1 px/frame, two parallel '
         'targets 5 px apart, two that cross at right angles, the three of Fu et al. 2022, Figure '
         f'7, frames 20 to 39, and a line that is there in the last or first '
         f'{compare_runs.PRESENT} frames. Thresholds for {100 * RATE:g} % of noise batches with a '
@@ -86,7 +93,7 @@ def _methods():
             continue
         wanted[name] = options
         if name == OURS:
-            wanted[FLUCTUATING] = {'detector': name, 'amplitude_model': 'fluctuating'}
+            wanted.update(VARIANTS)
     return wanted, refused
 
 
@@ -112,7 +119,7 @@ def _leaders(found, names) -> NDArray[np.int64]:
 def _quantities(found, names, leaders, alarms):
     quantities = []
     ours = names.index(OURS)
-    others = [number for number, name in enumerate(names) if name not in (OURS, FLUCTUATING)]
+    others = [number for number, name in enumerate(names) if name not in (OURS, *VARIANTS)]
     for scene, label in enumerate(SCENES):
         for point, snr in enumerate(SNRS):
             by_run = found[scene, point]
