@@ -12,6 +12,7 @@ from track_before_detect.evaluation.detection_suite import run_detection
 from track_before_detect.evaluation.limit_suites import run_accuracy, run_dim, run_false_alarms
 from track_before_detect.evaluation.parallel_suite import run_parallel
 from track_before_detect.evaluation.patent_suite import run_patent
+from track_before_detect.evaluation.range_doppler_suite import run_range_doppler
 from track_before_detect.evaluation.report import SuiteResult
 from track_before_detect.evaluation.ring_suites import run_ring_multi, run_ring_single
 from track_before_detect.evaluation.runner import Runner
@@ -64,6 +65,10 @@ SUITES: dict[str, Suite] = {
     'parallel': Suite(
         'The six targets of Guo et al. 2018 by mt_dp and pc_dp, 4 to 15 dB: Figures 9 and 10, and '
         'the cost ratio of Eq. 18 (N runs a point, 12 points).', run_parallel),
+    'range-doppler': Suite(
+        'Range-Doppler maps in complex noise (N scenes, 4 N batches of noise): the SNR at which a '
+        'target is found with the coupling of range and Doppler, and without it.',
+        run_range_doppler),
 }
 
 
