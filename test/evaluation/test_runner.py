@@ -76,17 +76,18 @@ def test_result_cut_short_is_run_again(tmp_path):
 def test_results_of_other_code_do_not_count(tmp_path, monkeypatch):
     runner = Runner(quiet, kept=KeptResults(tmp_path / 'runs.jsonl'))
     runner.map(scaled, ITEMS, 'scaling')
-    monkeypatch.setattr(kept_results, '_sources', lambda *_: [('kernels/new.py', b'pass')])
+    monkeypatch.setattr(kept_results, '_sources_of', lambda name: {'kernels.new': b'pass'})
     calls.clear()
     assert runner.map(scaled, ITEMS, 'scaling') == HALVES
     assert calls == [3, 1, 4, 5]
 
 
-def test_sources_are_those_that_decide_a_result():
-    names = {name for name, _ in kept_results._sources(
-        kept_results.resources.files('track_before_detect'), '')}
-    assert {'options.py', 'kernels/path_search.py', 'simulation/sensor.py'} <= names
-    assert not any(name.startswith(('evaluation', 'ros', 'cli')) for name in names)
+def test_sources_are_those_that_a_module_comes_to_import():
+    names = {name.removeprefix('track_before_detect.') for name in kept_results._sources_of(
+        'track_before_detect.evaluation.ring_runs')}
+    assert {'evaluation.ring_runs', 'evaluation.paper_metrics', 'solvers.linking',
+            'kernels.second_order', 'errors'} <= names
+    assert not any(name.startswith(('ros', 'cli', 'solvers.convex')) for name in names)
 
 
 def test_progress_counts_what_is_known_already(tmp_path):

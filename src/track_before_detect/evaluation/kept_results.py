@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import hashlib
@@ -12,14 +13,13 @@ from pathlib import Path
 from typing import Any
 
 PACKAGE = 'track_before_detect'
-# What a run is not decided by; the module that measures counts all the same.
-_OTHER_ROOMS = ('cli.py', 'evaluation', 'ros', 'recordings')
 
 
 class KeptResults:
     """Results of runs, one line of a file each.
 
-    A line holds the code that made it, the item and the result. A line cut short by an
+    A line holds the code that made it, the item and the result. A change of a module that the
+    measuring one does not import, in the end, leaves results as they are. A line cut short by an
     interruption is passed over, so a result is there whole or not at all.
 
     Parameters
@@ -67,23 +67,38 @@ class KeptResults:
 def _code_of(measure):
     """Return the name of a function and a digest of the code that decides what it returns."""
     digest = hashlib.sha256()
-    for name, content in _sources(resources.files(PACKAGE), ''):
-        digest.update(f'{name}\n'.encode() + content)
-    module = measure.__module__
-    if module.startswith(f'{PACKAGE}.'):
-        folder, name = module.split('.')[1:-1], module.rsplit('.', 1)[1]
-        file = resources.files(PACKAGE).joinpath(*folder, f'{name}.py')
-        digest.update(file.read_bytes())
-    return f'{module}.{measure.__qualname__} {digest.hexdigest()[:24]}'
+    for name, source in sorted(_sources_of(measure.__module__).items()):
+        digest.update(f'{name}\n'.encode() + source)
+    return f'{measure.__module__}.{measure.__qualname__} {digest.hexdigest()[:24]}'
 
 
-def _sources(folder, prefix):
-    """Yield name and content of every source file that runs may depend on."""
-    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
-        name = f'{prefix}{entry.name}'
-        if name in _OTHER_ROOMS:
-            continue
-        if entry.is_dir():
-            yield from _sources(entry, f'{name}/')
-        elif name.endswith('.py'):
-            yield name, entry.read_bytes()
+def _sources_of(module):
+    """Return the sources of a module and of all of this package that it comes to import."""
+    sources: dict[str, bytes] = {}
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        source = _source(name)
+        if name not in sources and source is not None:
+            sources[name] = source
+            waiting += _imported(source)
+    return sources
+
+
+def _source(name):
+    """Return the source of a module of this package; None for anything else."""
+    package, *parts = name.split('.')
+    if package != PACKAGE or not parts:
+        return None
+    file = resources.files(PACKAGE).joinpath(*parts[:-1], f'{parts[-1]}.py')
+    return file.read_bytes() if file.is_file() else None
+
+
+def _imported(source):
+    """Yield the names that a source imports, and those of what may be a module in a folder."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield node.module or ''
+            yield from (f'{node.module}.{alias.name}' for alias in node.names)
