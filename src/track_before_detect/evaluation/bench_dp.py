@@ -20,7 +20,8 @@ from track_before_detect.solvers.merit_functions import merit_functions
 from track_before_detect.types import Progress
 
 SEED = 1
-N_FRAMES = 60
+# As many as the longest sequences of the paper.
+N_FRAMES = 100
 # NumPy is slow enough to be measured on fewer.
 N_FRAMES_NUMPY = 12
 THREADS = (1, 2)

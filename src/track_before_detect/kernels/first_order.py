@@ -37,16 +37,17 @@ def _raise_to_two(out, o, source, a, b, n):
 
 
 @numba.njit(**_COMPILE)
-def _raise_to_later(row, later, n):
+def _larger(out, o, source, a, later, n):
     for x in range(_U(n)):
-        row[x] = row[x] if row[x] > row[x + later] else row[x + later]
+        here, there = source[a + x], source[a + later + x]
+        out[o + x] = here if here > there else there
 
 
 @numba.njit(**_COMPILE)
-def _add_larger(out, o, frames, a, row, later, n):
+def _add_larger(out, o, frames, a, source, b, later, n):
     for x in range(_U(n)):
-        largest = row[x] if row[x] > row[x + later] else row[x + later]
-        out[o + x] = frames[a + x] + largest
+        here, there = source[b + x], source[b + later + x]
+        out[o + x] = frames[a + x] + (here if here > there else there)
 
 
 @numba.njit(**_COMPILE)
@@ -62,8 +63,12 @@ def accumulate(merit, frames, start, n_steps, step, v_max, first_row, last_row):
     n_planes, n_y, n_x = merit.shape
     flat = merit.reshape(merit.size)
     flat_frames = frames.reshape(frames.size)
-    row = np.full(n_x + 2 * v_max, ABSENT)
     width = 2 * v_max + 1
+    # Three rows, apart so that none is read and written in one loop: the largest of each column
+    # with v_max absent pixels on either side, and two that take turns with the largest of wider
+    # and wider windows.
+    stride = n_x + 2 * v_max
+    rows = np.full(3 * stride, ABSENT)
     for k in range(n_steps):
         t = start + k * step
         more = v_max * (n_steps - 1 - k)
@@ -71,21 +76,20 @@ def accumulate(merit, frames, start, n_steps, step, v_max, first_row, last_row):
             before = (t - step) % n_planes * n_y
             # A row beyond the border counts as the nearest one inside, which is in the window.
             here = _U((before + y) * n_x)
-            row[:v_max] = ABSENT
             if v_max == 0:
-                _largest_of_three(row, _U(0), flat, here, here, here, n_x)
+                _larger(rows, _U(0), flat, here, _U(0), n_x)
             else:
                 _largest_of_three(
-                    row, _U(v_max), flat, _U((before + max(y - 1, 0)) * n_x), here,
+                    rows, _U(v_max), flat, _U((before + max(y - 1, 0)) * n_x), here,
                     _U((before + min(y + 1, n_y - 1)) * n_x), n_x)
             for away in range(2, v_max + 1):
-                _raise_to_two(row, _U(v_max), flat, _U((before + max(y - away, 0)) * n_x),
+                _raise_to_two(rows, _U(v_max), flat, _U((before + max(y - away, 0)) * n_x),
                               _U((before + min(y + away, n_y - 1)) * n_x), n_x)
-            row[v_max + n_x:] = ABSENT
-            # Each pass doubles the window that row[x] is the largest of.
-            covered = 1
+            covered, source, target = 1, 0, stride
             while 2 * covered <= width:
-                _raise_to_later(row, _U(covered), n_x + 2 * v_max - covered)
+                _larger(rows, _U(target), rows, _U(source), _U(covered),
+                        n_x + 2 * v_max - 2 * covered + 1)
                 covered *= 2
+                source, target = target, 3 * stride - target
             _add_larger(flat, _U((t % n_planes * n_y + y) * n_x), flat_frames,
-                        _U((t * n_y + y) * n_x), row, _U(width - covered), n_x)
+                        _U((t * n_y + y) * n_x), rows, _U(source), _U(width - covered), n_x)
