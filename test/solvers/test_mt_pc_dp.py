@@ -119,6 +119,7 @@ def test_threshold_holds_the_false_alarm_rate_asked_for(detector, tmp_path, monk
 @pytest.mark.parametrize('name', ['mt_dp', 'pc_dp'])
 @pytest.mark.parametrize(('option', 'said'), [
     ({'motion_model': 'constant_velocity'}, "motion_model must be .* got 'constant_velocity'"),
+    ({'presence': 'partial'}, "presence must be full, got 'partial'"),
     ({'max_acceleration_px_s2': 0.1}, 'max_acceleration_px_s2 must be automatic, got 0.1')])
 def test_what_a_method_cannot_do_is_refused(name, option, said):
     options = DetectorOptions(detector=name, **option)

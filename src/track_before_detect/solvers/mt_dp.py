@@ -68,6 +68,9 @@ class MtDpDetector(BatchDetector):
             raise ParameterError(
                 f'{name} does not know the velocity of a target, so max_acceleration_px_s2 must '
                 f'be automatic, got {options.max_acceleration_px_s2:g}')
+        if options.presence != 'full':
+            raise ParameterError(f'{name} follows a target through the whole batch, so presence '
+                                 f'must be full, got {options.presence!r}')
         self.psf = GaussianPsf(options.psf_sigma_px)
         self.merit = Merit(options.amplitude_model == 'fluctuating',
                            options.amplitudes == 'signed')

@@ -96,13 +96,15 @@ class TargetSearch:
             V_DT, on the merit.
         """
         data, merit = self._measurements, self._merit
-        psi, phi = data.psi.copy(), data.phi.copy()
+        psi, phi, scores = data.psi, data.phi, self.scores
+        if np.isfinite(bound):
+            psi, phi, scores = psi.copy(), phi.copy(), scores.copy()
         paths = np.empty((MOST_TARGETS, data.n_frames, 2), np.int32)
         seen = np.empty((MOST_TARGETS, len(psi), data.n_frames), np.float32)
         values = np.empty(MOST_TARGETS, np.float32)
         found, left, n_candidates = transition_dp.find_targets(
             psi, phi, data.weights, data.stamp, self._cores, merit.squared, merit.signed,
-            self.scores.copy(), np.empty_like(phi), sets.rows, sets.row_first, sets.sets,
+            scores, np.empty_like(phi), sets.rows, sets.row_first, sets.sets,
             np.float32(bound), paths, seen, values)
         parts = seen[:found].astype(float)
         statistics = parts[:, 0] + 1j * parts[:, 1] if len(psi) == 2 else parts[:, 0]
@@ -149,10 +151,7 @@ class TargetSearch:
     def _take(self, taken, track):
         """Mark the pixels that a track spoils for others."""
         half = self._cores.shape[0] // 2
-        n_y, n_x = taken.shape[1:]
-        for t, ((x, y), seen) in enumerate(zip(track.pixels, np.abs(track.seen), strict=True)):
-            top, left = max(0, y - half), max(0, x - half)
-            bottom, right = min(n_y, y + half + 1), min(n_x, x + half + 1)
-            core = self._cores[top - y + half:bottom - y + half, left - x + half:right - x + half]
-            taken[t, top:bottom, left:right] |= seen > core
-
+        t, dy, dx = np.nonzero(np.abs(track.seen)[:, None, None] > self._cores)
+        x, y = (track.pixels[t] + np.stack([dx, dy], axis=1) - half).T
+        inside = (x >= 0) & (x < taken.shape[2]) & (y >= 0) & (y < taken.shape[1])
+        taken[t[inside], y[inside], x[inside]] = True

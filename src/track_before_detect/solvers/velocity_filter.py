@@ -104,6 +104,10 @@ class VelocityFilterDetector(BatchDetector):
             raise ParameterError(
                 'velocity_filter adds up what keeps its sign, so amplitudes must be one of '
                 f'{", ".join(AMPLITUDES)}, got {options.amplitudes!r}')
+        if options.presence != 'full':
+            raise ParameterError(
+                'velocity_filter adds up all frames in which a line is inside, so presence must '
+                f'be full, got {options.presence!r}')
         self.psf = GaussianPsf(options.psf_sigma_px)
         self._signed = options.amplitudes == 'signed'
         self._warned = False
