@@ -36,7 +36,8 @@ def test_bright_targets_of_the_paper_are_all_found_in_their_cells(n_directions, 
     assert last == {tuple(cells[-1]) for cells in scene.cells}
 
 
-def test_threads_change_nothing():
+def test_threads_change_nothing(monkeypatch):
+    monkeypatch.setattr('track_before_detect.solvers.target_cancellation.LEAST_FOR_THREADS', 0)
     scene = scenes.six_targets(9.0, np.random.default_rng(2))
     made = search(scene.frames)
     directions = directional_sets([1] * 6, 4)

@@ -10,6 +10,8 @@ from typing import Any
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.bench import bench_table, measure_convex
 from track_before_detect.evaluation.bench_dp import dp_table, measure_dp
+from track_before_detect.evaluation.bench_parallel import measure_parallel, parallel_table
+from track_before_detect.evaluation.bench_velocity import measure_velocity, velocity_table
 from track_before_detect.types import Progress
 
 
@@ -33,6 +35,8 @@ class Bench:
 BENCHES: dict[str, Bench] = {
     'convex': Bench(measure_convex, bench_table),
     'dp': Bench(measure_dp, dp_table),
+    'parallel': Bench(measure_parallel, parallel_table),
+    'velocity_filter': Bench(measure_velocity, velocity_table),
 }
 
 

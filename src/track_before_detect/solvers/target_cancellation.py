@@ -24,6 +24,8 @@ from track_before_detect.solvers.measurements import Measurements, Merit
 # Found in one direction, at most: what rounding leaves of an extremely bright target could be
 # followed for long.
 MOST_TARGETS = 1000
+# Smaller batches, in pixels, are searched before a thread has started.
+LEAST_FOR_THREADS = 100_000
 # Two tracks that share more than this part of their pixels are one (Section 3.2.2, step 3).
 COINCIDENCE = 0.5
 
@@ -114,7 +116,7 @@ class TargetSearch:
     def run_parallel(self, directions: Sequence[TransitionSets], bound: float,
                      n_threads: int) -> list[Search]:
         """Search all directions apart from each other, on threads (PC, step 2)."""
-        if n_threads == 1:
+        if n_threads == 1 or self.scores.size < LEAST_FOR_THREADS:
             return [self.run(sets, bound) for sets in directions]
         with ThreadPoolExecutor(min(n_threads, len(directions))) as pool:
             return list(pool.map(lambda sets: self.run(sets, bound), directions))
