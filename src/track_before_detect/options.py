@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.given_array import given_array, GivenArray
 
 DETECTORS = ('convex', 'greedy', 'cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_dpr', 'mff_dpr',
              'mt_dp', 'pc_dp', 'velocity_filter')
@@ -50,6 +51,13 @@ class DetectorOptions:
     psf_sigma_px: float = _option(
         1.0, 'Standard deviation of the Gaussian point spread function.', kind='number',
         unit='px', minimum=0.3, maximum=20.0)
+    psf_model: str = _option(
+        'gaussian', 'Whether a pixel sees the Gaussian at its centre, or its mean over the pixel.',
+        kind='text', choices=('gaussian', 'integrated_gaussian'))
+    psf: GivenArray | None = _option(
+        None, 'Point spread function in place of the Gaussian: an array with odd sides, the '
+        'target in its middle, of any scale; between the pixels by a cubic spline. A file is '
+        '.npy, .npz or an image.', kind='array', optional=True)
     max_speed_px_s: float | None = _option(
         None, 'Largest speed of a target in the registered image; automatic is one pixel per '
         'median frame interval.', kind='number', unit='px/s', minimum=0.0, optional=True)
@@ -106,6 +114,13 @@ class DetectorOptions:
         'none', 'How the noise level is found: none takes a standard deviation of 1, robust '
         'estimates one number per frame, map one per pixel.', kind='text',
         choices=('none', 'robust', 'map'))
+    variance: GivenArray | None = _option(
+        None, 'Variance of the noise of each pixel, an array (H, W) or (frames, H, W) or a file '
+        '(.npy, .npz or an image); with noise=robust its scale does not matter. Where it is not '
+        'finite a pixel counts as masked.', kind='array', optional=True)
+    mask: GivenArray | None = _option(
+        None, 'Pixels that hold no data, an array (H, W) or (frames, H, W) or a file (.npy, .npz '
+        'or an image); masked where it is not 0.', kind='array', optional=True)
 
     def __post_init__(self):
         for field in dataclasses.fields(self):
@@ -144,7 +159,7 @@ def parse_option(name: str, text: str) -> Any:
     metadata = fields[name].metadata
     if metadata['optional'] and text.strip() in ('', 'auto', 'none', 'null'):
         return None
-    if metadata['kind'] == 'text':
+    if metadata['kind'] in ('text', 'array'):
         return text.strip()
     if metadata['kind'] == 'numbers':
         return [part for part in text.strip().strip('[]()').split(',') if part.strip()]
@@ -171,6 +186,8 @@ def _checked(name, value, metadata):
             raise ParameterError(
                 f'{name} must be one of {", ".join(metadata["choices"])}, got {value!r}{hint}')
         return value
+    if kind == 'array':
+        return given_array(name, value)
     if kind == 'numbers':
         if isinstance(value, (str, bytes)) or np.ndim(value) != 1 or not len(value):
             raise ParameterError(f'{name} must be a list of numbers, got {value!r}')

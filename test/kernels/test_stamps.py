@@ -115,17 +115,13 @@ def test_statistic_equals_stamp_and_slope_equals_difference_quotient(name, kind,
     out, own_norms = statistic(POSITIONS)
     np.testing.assert_allclose(out[:, 0], np.abs(seen) if code == COMPLEX else seen, atol=1e-6)
     np.testing.assert_allclose(own_norms, 1.0 if kind == 'none' else norms)
-    if kind != 'none':
-        return
-    interior = 0
     for axis in (0, 1):
         moved = POSITIONS.copy()
         moved[:, axis] += 1e-5
-        slope = (statistic(moved)[0][interior, 0] - out[interior, 0]) / 1e-5
-        # Less the change of the norm, which an array has even in the middle of the frame.
-        whole = [np.linalg.norm(naive.psf_picture(psf, p[interior])) for p in (moved, POSITIONS)]
-        slope += out[interior, 0] * np.log(whole[0] / whole[1]) / 1e-5
-        assert out[interior, 1 + axis] == pytest.approx(slope, abs=2e-3)
+        slope = (statistic(moved)[0][:, 0] - out[:, 0]) / 1e-5
+        # Where a stamp moves by a whole pixel it is another one.
+        smooth = np.abs(moved[:, axis] % 1 - 0.5) > 1e-4
+        np.testing.assert_allclose(out[smooth, 1 + axis], slope[smooth], atol=5e-3)
 
 
 @pytest.mark.parametrize('name', PSFS)

@@ -52,7 +52,7 @@ def best_amplitudes(seen, norms, model, out):
 
 @numba.njit(**_COMPILE)
 def climb(positions, basis, optics, frames, weights, model, most_steps):
-    """Maximise the squared statistic by damped Gauss-Newton steps.
+    """Maximise the squared statistic, borders and weights considered, by Gauss-Newton steps.
 
     positions : float64 (T, 2), moved in place
     basis : float64 (T, 2, B), C-contiguous; the displacement (x, y) of each frame is basis @ c

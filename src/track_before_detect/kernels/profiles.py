@@ -102,16 +102,27 @@ def fill_profiles(optics, position, smear, axis, origin, factors, values, slopes
 
 
 @numba.njit(**_COMPILE)
-def product_norm(rows, columns, first_row, last_row, first_column, last_column):
-    """Return the squared norm of sum_c rows[c, i] columns[c, k] over a part of the stamp."""
+def inner_product(rows, columns, other_rows, other_columns, first_row, last_row, first_column,
+                  last_column):
+    """Return the inner product of two sums of products, over a part of the stamp.
+
+    They are sum_c rows[c, i] columns[c, k] and the same of ``other_rows`` and ``other_columns``.
+    """
     total = 0.0
     for c in range(rows.shape[0]):
-        for d in range(c + 1):
+        for d in range(rows.shape[0]):
             in_y = 0.0
             for i in range(first_row, last_row):
-                in_y += rows[c, i] * rows[d, i]
+                in_y += rows[c, i] * other_rows[d, i]
             in_x = 0.0
             for k in range(first_column, last_column):
-                in_x += columns[c, k] * columns[d, k]
-            total += (1.0 if c == d else 2.0) * in_y * in_x
+                in_x += columns[c, k] * other_columns[d, k]
+            total += in_y * in_x
     return total
+
+
+@numba.njit(**_COMPILE)
+def product_norm(rows, columns, first_row, last_row, first_column, last_column):
+    """Return the squared norm of sum_c rows[c, i] columns[c, k] over a part of the stamp."""
+    return inner_product(rows, columns, rows, columns, first_row, last_row, first_column,
+                         last_column)

@@ -19,7 +19,12 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.amplitude_codes import COMPLEX
-from track_before_detect.kernels.profiles import fill_profiles, product_norm, smear_of
+from track_before_detect.kernels.profiles import (
+    fill_profiles,
+    inner_product,
+    product_norm,
+    smear_of,
+)
 
 _COMPILE = {'nogil': True, 'cache': True}
 # A target that shows less than this share of its energy, weighed against that of a whole one at a
@@ -121,8 +126,7 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     """Write statistic and its slope in x and y to out[t] = (h, dh/dx, dh/dy).
 
     ``norms`` is as in ``render`` where there are weights, otherwise one. Of complex frames these
-    are |h| and its slope. The slope leaves out the change of the norm near borders and masks, and
-    that of a smear, so it points uphill but is exact only away from them.
+    are |h| and its slope. The slope leaves out that the smear changes with the path.
     """
     n_frames = positions.shape[0]
     height, width = frames.shape[1:]
@@ -142,6 +146,8 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
         slope_x = 0.0 * frames[0, 0, 0]
         slope_y = 0.0 * frames[0, 0, 0]
         total = 0.0
+        along_x = 0.0
+        along_y = 0.0
         at = t if weights.shape[0] > 1 else 0
         for i in range(first_row, last_row):
             y = y_0 + i
@@ -163,12 +169,26 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
             if weighted:
                 for k in range(first, last):
                     value = 0.0
+                    change_x = 0.0
+                    change_y = 0.0
                     for c in range(n_parts):
                         value += rows[c, i] * columns[c, k]
-                    value *= weights[at, y, x_0 + k]
-                    total += value * value
+                        change_x += rows[c, i] * column_slopes[c, k]
+                        change_y += row_slopes[c, i] * columns[c, k]
+                    squared = weights[at, y, x_0 + k]**2
+                    total += squared * value * value
+                    along_x += squared * value * change_x
+                    along_y += squared * value * change_y
         if not weighted:
             total = product_norm(rows, columns, first_row, last_row, first, last)
+            along_x = inner_product(rows, columns, rows, column_slopes, first_row, last_row,
+                                    first, last)
+            along_y = inner_product(rows, columns, row_slopes, columns, first_row, last_row,
+                                    first, last)
+        if total > 0.0:
+            # The norm changes as well: beside borders and masks, and of sharp PSFs everywhere.
+            slope_x -= h * (along_x / total)
+            slope_y -= h * (along_y / total)
         share = total / product_norm(rows, columns, 0, size, 0, size)
         norms[t] = 1.0
         if weighted:

@@ -21,6 +21,7 @@ from track_before_detect.preprocess.noise import (
     pixel_level,
     robust_deviation,
 )
+from track_before_detect.preprocess.pixel_noise import given_level, masked_pixels, pixel_weights
 from track_before_detect.preprocess.registration import register
 from track_before_detect.preprocess.resampling import shift_whole, warped
 from track_before_detect.types import FrameBatch
@@ -53,6 +54,11 @@ class PreparedBatch:
     maps : array, shape (T, 3, 3)
         Takes the registered plane to the pixels of each frame as it came, see the module
         ``geometry``.
+    weights : float32 array, shape (T, H, W) or (1, H, W), or None
+        One over the noise of each pixel of ``frames``, with a median of one, zero where masked;
+        None where the noise differs between frames at most.
+    unit : float
+        Standard deviation of the noise at a weight of one, in the units of the input.
     """
 
     frames: NDArray
@@ -60,6 +66,8 @@ class PreparedBatch:
     frame_indices: NDArray[np.int64]
     noise_level: NDArray[np.float64]
     maps: NDArray[np.float64]
+    weights: NDArray[np.float32] | None = None
+    unit: float = 1.0
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -79,7 +87,8 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
     batch : FrameBatch
         Frames as they came; left as they are.
     options : DetectorOptions
-        ``registration``, ``background`` and ``noise`` say what is done.
+        ``registration``, ``background`` and ``noise`` say what is done; ``variance`` and ``mask``
+        what is known of the pixels.
 
     Returns
     -------
@@ -98,6 +107,11 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
                 'background must be none or temporal_median for complex frames, got '
                 f'{options.background!r}')
 
+    if options.variance is not None and options.noise == 'map':
+        raise ParameterError('noise must be none or robust where variance is given, got map')
+    if options.mask is not None:
+        frames[np.broadcast_to(masked_pixels(options.mask, batch), frames.shape)] = np.nan
+
     for name, over_time in (('background', ('temporal_median', 'temporal_spatial_median')),
                             ('noise', ('map',))):
         value = getattr(options, name)
@@ -113,6 +127,10 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
         parts = remove_temporal_median(parts, maps)
     if options.background in ('spatial_median', 'temporal_spatial_median'):
         parts = remove_spatial_median(parts, _mesh_px(options.psf_sigma_px))
+    told = np.ones((1, 1, 1))
+    if options.variance is not None:
+        told = given_level(options.variance, batch)
+        parts = parts / np.repeat(told, 2 if is_complex else 1, axis=2).astype(np.float32)
     floor = _QUANTISED_FLOOR if np.issubdtype(raw.dtype, np.integer) else 0.0
     level = _noise_level(parts, maps, options.noise, floor)
     if is_complex:
@@ -129,12 +147,20 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
         if not is_complex:
             factor = correlation_factor(frames, options.psf_sigma_px)
             frames, level = frames / np.float32(factor), level * factor
+    level = level * told
     if options.registration == 'translation':
         maps = geometry.translations(np.rint(maps[:, :2, 2]) + 0.0)  # no negative zero
     if options.registration != 'none':
         frames = _on_plane(frames, maps, options.registration)
+    weights, unit = None, 1.0
+    if level.shape[1:] != (1, 1):
+        weights, unit = pixel_weights(level, frames.shape)
+        if options.registration != 'none':
+            weights = _on_plane(np.broadcast_to(weights, frames.shape), maps,
+                                options.registration)
+            weights = np.maximum(np.nan_to_num(weights), 0)
     return PreparedBatch(frames, np.array(batch.stamps, dtype=np.float64),
-                         np.array(batch.frame_indices), level, maps)
+                         np.array(batch.frame_indices), level, maps, weights, unit)
 
 
 def _maps(frames, batch, model):

@@ -49,13 +49,18 @@ class _FolderSource:
 
     def read(self, index: int) -> NDArray:
         file = self._files[index]
-        if file.stat().st_size == 0:
-            raise DataError(f'image {file} is empty')
-        read = _read_tiff_image if file.suffix.lower() in TIFF_SUFFIXES else _read_pillow_image
-        return read(file)
+        return read_image(file)
 
     def close(self) -> None:
         pass
+
+
+def read_image(file: Path) -> NDArray:
+    """Return the pixels of one image, shape (H, W), colour as luminance."""
+    if file.stat().st_size == 0:
+        raise DataError(f'image {file} is empty')
+    read = _read_tiff_image if file.suffix.lower() in TIFF_SUFFIXES else _read_pillow_image
+    return read(file)
 
 
 def _read_pillow_image(file):

@@ -69,7 +69,7 @@ def _explanation(parameter):
     if parameter.maximum is not None:
         facts.append(f'at most {parameter.maximum:g}')
     if parameter.optional:
-        facts.append('0 is automatic')
+        facts.append('empty is none' if parameter.kind == 'array' else '0 is automatic')
     if parameter.live:
         facts.append('live')
     return f'{parameter.description} [{"; ".join(facts)}]' if facts else parameter.description

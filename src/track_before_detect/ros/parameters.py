@@ -30,7 +30,7 @@ from track_before_detect.options import describe, DetectorOptions
 
 INT32_MAX = 2**31 - 1
 FLOAT_MAX = 1e308
-NEUTRAL = {'number': 0.0, 'integer': 0, 'text': '', 'numbers': []}
+NEUTRAL = {'number': 0.0, 'integer': 0, 'text': '', 'numbers': [], 'array': ''}
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class NodeParameter:
     ----------
     name, default, description, unit
         What a user sees.
-    kind : {'number', 'integer', 'numbers', 'text', 'boolean'}
-        Decides the ROS type.
+    kind : {'number', 'integer', 'numbers', 'text', 'boolean', 'array'}
+        Decides the ROS type; an array is the text that names its file.
     minimum, maximum, above : float, optional
         Inclusive bounds, and an exclusive lower one.
     choices : tuple of str
@@ -73,8 +73,10 @@ class NodeParameter:
         if self.is_option:
             if self.optional and _is_neutral(value):
                 return NEUTRAL[self.kind]
-            value = getattr(DetectorOptions(**{self.name: value}), self.name)
-            return list(value) if self.kind == 'numbers' else value
+            checked = getattr(DetectorOptions(**{self.name: value}), self.name)
+            if self.kind == 'array':
+                return str(value)
+            return list(checked) if self.kind == 'numbers' else checked
         if self.kind == 'boolean':
             if not isinstance(value, bool):
                 raise ParameterError(f'{self.name} must be true or false, got {value!r}')
@@ -117,7 +119,8 @@ class NodeParameter:
         if self.above is not None:
             constraints.append(f'above {self.above:g}')
         if self.optional:
-            neutral = {'text': 'empty', 'numbers': 'an empty list'}.get(self.kind, '0')
+            neutral = {'text': 'empty', 'array': 'empty', 'numbers': 'an empty list'}.get(
+                self.kind, '0')
             constraints.append(f'{neutral} means automatic')
         descriptor = ParameterDescriptor(
             description=self.description + unit, read_only=not self.live,

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.errors import ParameterError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.threshold import NoiseStudy, threshold_for
 from track_before_detect.types import Progress, Step
@@ -25,7 +26,8 @@ class FoundTrajectory:
     positions : array, shape (T, 2)
         x and y in pixels of the prepared frames; NaN where the target is absent.
     amplitudes : array, shape (T,)
-        In units of the noise standard deviation; NaN where it is absent.
+        Of the unit-norm PSF, in units of the noise standard deviation (of that at a weight of one
+        where the detector weighs pixels); NaN where it is absent.
     statistic : float
         What is compared with the threshold.
     snr : float
@@ -63,8 +65,19 @@ class BatchDetector(ABC):
         An option asks for what this detector cannot do.
     """
 
+    # Whether a target may look like anything, or has to be a Gaussian sampled at pixel centres.
+    takes_any_psf = False
+    # Whether pixels are weighed by their noise; otherwise each counts as much as it is noisy.
+    weighs_pixels = False
+
     def __init__(self, options: DetectorOptions):
         self.options = options
+        if not self.takes_any_psf:
+            for name, plain in (('psf', None), ('psf_model', 'gaussian')):
+                if getattr(options, name) != plain:
+                    raise ParameterError(
+                        f'{options.detector} needs a Gaussian sampled at the pixel centres: leave '
+                        f'{name} {"out" if plain is None else plain}')
         # Thresholds for numbers of frames and shapes, each with the frame interval it is for.
         self._thresholds: dict[tuple, list[tuple[float, float]]] = {}
 
@@ -111,6 +124,22 @@ class BatchDetector(ABC):
         progress : callable, optional
             Told of a calibration.
         """
+
+    def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
+                        progress: Progress | None = None) -> BatchResult:
+        """Find the trajectories where the noise differs between pixels.
+
+        A detector without ``weighs_pixels`` looks for targets as if it did not.
+
+        Parameters
+        ----------
+        frames, stamps, progress
+            As in :meth:`detect`.
+        weights : float32 array, shape (T, H, W) or (1, H, W), or None
+            One over the noise that each pixel had before it was scaled to one, zero where masked;
+            None where all had the same.
+        """
+        return self.detect(frames, stamps, progress)
 
 
 def median_interval(stamps: NDArray) -> float:

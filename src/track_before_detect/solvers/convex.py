@@ -35,6 +35,6 @@ class ConvexDetector(PathDetector):
             value = model.value(model.statistic(seen)) - paths.costs[path]
             found.append(FoundTrajectory(
                 np.where(present[:, None], paths.positions[path], np.nan),
-                np.where(present, paths.amplitudes[path], np.nan),
+                np.where(present, paths.target_amplitudes(path), np.nan),
                 self.statistic(value, len(seen)), float(np.mean(seen[present]))))
         return sorted(found, key=lambda trajectory: -trajectory.statistic)

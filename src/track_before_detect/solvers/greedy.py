@@ -48,7 +48,7 @@ class GreedyDetector(PathDetector):
             present = self.present(path.positions, seen)
             found.append(FoundTrajectory(
                 np.where(present[:, None], path.positions, np.nan),
-                np.where(present, amplitudes, np.nan),
+                np.where(present, paths.target_amplitudes(added), np.nan),
                 self.statistic(path.value, len(seen)), float(np.mean(seen[present]))))
         found.sort(key=lambda trajectory: -trajectory.statistic)
         threshold = self.statistic(model.value(paths.threshold), len(task.times))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
 from track_before_detect.models.presence import frames_seen_in, presence_for
-from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.psf import ArrayPsf, GaussianPsf, Psf
 from track_before_detect.models.range_doppler import build_range_doppler_graph
 from track_before_detect.models.state_graph import (
     build_state_graph,
@@ -79,9 +79,12 @@ class PathDetector(BatchDetector):
         Motion, PSF, amplitudes and threshold.
     """
 
+    takes_any_psf = True
+    weighs_pixels = True
+
     def __init__(self, options: DetectorOptions):
         super().__init__(options)
-        self.psf = GaussianPsf(options.psf_sigma_px)
+        self.psf = psf_of(options)
         self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
         _check_motion(options)
         self.presence = presence_for(self.model) if options.presence == 'partial' else None
@@ -184,18 +187,24 @@ class PathDetector(BatchDetector):
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories."""
+        return self.detect_weighted(frames, stamps, None, progress)
+
+    def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
+                        progress: Progress | None = None) -> BatchResult:
+        """Find the trajectories where the noise differs between pixels."""
         shape = frames.shape[1:]
         graph = self.graph(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
+        frames = np.ascontiguousarray(frames, np.float32)
         valid = np.isfinite(frames)
-        if valid.all():
-            clean, weights = np.ascontiguousarray(frames, np.float32), None
-        else:
-            clean, weights = np.where(valid, frames, np.float32(0)), valid.astype(np.float32)
+        if not valid.all():
+            frames = np.where(valid, frames, np.float32(0))
+            weights = valid.astype(np.float32) if weights is None else weights * valid
         search = self._path_search(graph, shape, weights)
         if weights is None:
             weights = np.zeros((0, 0, 0), np.float32)
-        paths = PathSet(clean, weights, self.psf, self._weight(threshold, len(frames)),
+        weights = np.ascontiguousarray(weights, np.float32)
+        paths = PathSet(frames, weights, self.psf, self._weight(threshold, len(frames)),
                         self.model)
         return self.solve(Task(graph, search, paths, regular_stamps(stamps), weights))
 
@@ -254,6 +263,13 @@ class PathDetector(BatchDetector):
         if self.presence is None:
             return PathSearch(graph, self.psf, shape, self.model, n_threads)
         return PartialSearch(graph, self.psf, shape, self.model, self.presence, n_threads)
+
+
+def psf_of(options: DetectorOptions) -> Psf:
+    """Return the PSF that the options describe."""
+    if options.psf is not None:
+        return ArrayPsf(options.psf.array)
+    return GaussianPsf(options.psf_sigma_px, options.psf_model == 'integrated_gaussian')
 
 
 def _check_motion(options):

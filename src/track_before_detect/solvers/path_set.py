@@ -69,6 +69,7 @@ class PathSet:
         self.settled: list[bool] = []
         self._stamps: list[NDArray] = []
         self._origins: list[NDArray] = []
+        self._norms: list[NDArray] = []
         n_frames = len(frames)
         self.matched = np.empty((0, n_frames))
         self.weights = np.empty(0)
@@ -89,9 +90,10 @@ class PathSet:
         self.positions.append(positions)
         self.costs.append(cost)
         self.settled.append(False)
-        stamps, origins = self._render(positions)
+        stamps, origins, norms = self._render(positions)
         self._stamps.append(stamps)
         self._origins.append(origins)
+        self._norms.append(norms)
         nothing = np.zeros((1, len(self.frames)))
         self.matched = np.concatenate([self.matched, nothing])
         self.amplitudes = np.concatenate([self.amplitudes, nothing])
@@ -106,7 +108,8 @@ class PathSet:
         self.costs[path] = cost
         self.settled[path] = False
         self.weights[path] = self.model.weight(self.threshold, cost)
-        self._stamps[path], self._origins[path] = self._render(positions)
+        (self._stamps[path], self._origins[path],
+         self._norms[path]) = self._render(positions)
         self._relate(path)
         self._take(path, 1.0)
 
@@ -120,6 +123,7 @@ class PathSet:
         self.settled = [self.settled[p] for p in keep]
         self._stamps = [self._stamps[p] for p in keep]
         self._origins = [self._origins[p] for p in keep]
+        self._norms = [self._norms[p] for p in keep]
         self.matched = self.matched[keep]
         self.amplitudes = self.amplitudes[keep]
         self.weights = self.weights[keep]
@@ -220,9 +224,17 @@ class PathSet:
         return self.matched[path] - np.einsum(
             'qt,qt->t', self._overlaps[self._pairs[path, others]], self.amplitudes[others])
 
+    def target_amplitudes(self, path: int) -> NDArray:
+        """Return the amplitudes of the target itself, of which a stamp may show a part, (T,).
+
+        Zero in a frame that shows nothing of it.
+        """
+        norms = self._norms[path]
+        return self.amplitudes[path] / np.where(norms > 0, norms, np.inf)
+
     def statistic_of(self, positions: NDArray) -> float:
         """Return the statistic of any path on the residual."""
-        stamps, origins = self._render(positions)
+        stamps, origins, _ = self._render(positions)
         seen = np.empty(len(self.frames))
         stamp_kernels.correlate(stamps, origins, self.residual, seen)
         return self.model.statistic(seen)
@@ -249,7 +261,8 @@ class PathSet:
         stamp_kernels.render(self._optics, there, height, width, self._pixel_weights, stamps,
                              origins, norms)
         stamps[absent] = 0.0
-        return stamps, origins
+        norms[absent] = 0.0
+        return stamps, origins, norms
 
     def _relate(self, path):
         """Fill the matched filter and the overlaps of one path."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.errors import DataError
@@ -100,8 +101,11 @@ class TrackingPipeline:
         _check(batch)
         prepared = prepare(batch, self._options)
         self._check_scale(prepared.frames[len(batch) // 2])
-        result = self._detector.detect(prepared.frames, prepared.stamps, progress)
-        trajectories = [_in_original_frames(found, prepared) for found in result.found]
+        result = self._detector.detect_weighted(
+            prepared.frames, prepared.stamps, prepared.weights, progress)
+        weighted = prepared.weights is not None and self._detector.weighs_pixels
+        unit = np.array(prepared.unit) if weighted else prepared.noise_level
+        trajectories = [_in_original_frames(found, prepared, unit) for found in result.found]
         trajectories = [trajectory for trajectory in trajectories
                         if np.isfinite(trajectory.positions).any()]
         return DetectionResult(self._stitcher.link(trajectories), result.threshold,
@@ -129,7 +133,8 @@ class TrackingPipeline:
     def _compile(self, progress):
         """Run every kernel once, on a target bright enough to pass through all stages."""
         options = self._options.replace(
-            threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None)
+            threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
+            variance=None, mask=None)
         frames = np.random.default_rng(0).standard_normal((8, 24, 24)).astype(np.float32)
         frames[:, 10:13, 10:13] += 8
         stamps = np.arange(8.0)
@@ -160,11 +165,15 @@ def _check(batch):
                         f'{stamps[at + 1]:g} s at frame {at + 1}')
 
 
-def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch) -> Trajectory:
-    """Return a trajectory in the pixels and units of the frames as they came."""
+def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch,
+                        unit: NDArray) -> Trajectory:
+    """Return a trajectory in the pixels of the frames as they came, and in their units.
+
+    ``unit`` (T, H, W), or of a shape that broadcasts to it, is the unit of the amplitudes.
+    """
     positions = geometry.apply(prepared.maps, found.positions)
     n_frames, height, width = prepared.frames.shape
-    level = np.broadcast_to(prepared.noise_level, (n_frames, height, width))
+    level = np.broadcast_to(unit, (n_frames, height, width))
     present = np.isfinite(positions[:, 0])
     nearest = np.rint(np.where(present[:, None], positions, 0.0))
     x, y = np.clip(nearest, 0, (width - 1, height - 1)).astype(int).T

@@ -1,0 +1,68 @@
+"""What is told of the pixels of a batch: which are masked, and how noisy each is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.errors import DataError
+from track_before_detect.given_array import GivenArray
+from track_before_detect.types import FrameBatch
+
+
+def masked_pixels(given: GivenArray, batch: FrameBatch) -> NDArray[np.bool_]:
+    """Return which pixels of a batch hold no data, shape (T, H, W) or (1, H, W)."""
+    return _of_batch('mask', given, batch) != 0
+
+
+def given_level(given: GivenArray, batch: FrameBatch) -> NDArray[np.float64]:
+    """Return the standard deviation of the noise, shape (T, H, W) or (1, H, W).
+
+    NaN where the variance is not finite.
+    """
+    variance = _of_batch('variance', given, batch).astype(np.float64)
+    known = np.isfinite(variance)
+    if not known.any() or np.any(variance[known] <= 0):
+        least = f'got {variance[known].min():g}' if known.any() else 'got no finite value'
+        raise DataError(f'variance must be above 0, {least}')
+    return np.sqrt(np.where(known, variance, np.nan))
+
+
+def pixel_weights(level: NDArray, shape: tuple[int, int, int]) -> tuple[NDArray, float]:
+    """Return one over the noise of each pixel, scaled to a median of one, and the scale.
+
+    Parameters
+    ----------
+    level : array
+        Standard deviation of the noise, NaN where masked; broadcasts to (T, H, W).
+    shape : tuple of int
+        (T, H, W) of the frames.
+
+    Returns
+    -------
+    weights : float32 array, shape (T, H, W) or (1, H, W)
+        Zero where masked.
+    unit : float
+        Standard deviation of the noise at a weight of one.
+    """
+    known = level[np.isfinite(level)]
+    unit = float(np.median(known)) if known.size else 1.0
+    weights = np.nan_to_num(unit / level, nan=0.0).astype(np.float32)
+    return np.broadcast_to(weights, (len(level), *shape[1:])), unit
+
+
+def _of_batch(name, given, batch):
+    """Return the entries of an array for the frames of a batch."""
+    array = given.array
+    shape = np.shape(batch.frames)[1:]
+    if array.ndim not in (2, 3) or array.shape[-2:] != shape:
+        raise DataError(
+            f'{name} must have the shape (H, W) or (frames, H, W) of the frames, which are '
+            f'{shape[0]} x {shape[1]}, got {array.shape}')
+    if array.ndim == 2:
+        return array[None]
+    last = int(np.max(batch.frame_indices))
+    if last >= len(array):
+        raise DataError(f'{name} must have an entry for every frame, got {len(array)} entries '
+                        f'for frame {last}')
+    return array[batch.frame_indices]

@@ -1,0 +1,128 @@
+"""Every model of PSF and noise, from frames to trajectories."""
+
+import numpy as np
+import pytest
+
+import naive
+import track_before_detect as tbd
+from track_before_detect.models.psf import ArrayPsf, GaussianPsf
+
+T, SHAPE = 8, (24, 30)
+SPEED = np.array([0.43, -0.27])
+START = np.array([9.3, 14.2])
+PATH = START + SPEED * np.arange(T)[:, None]
+Y, X = np.mgrid[-6:7, -6:7]
+ARRAY = np.exp(-((X + Y)**2 / 3.0**2 + (X - Y)**2 / 1.6**2) / 2)
+PSFS = {
+    'gaussian': (GaussianPsf(1.0), {}),
+    'integrated': (GaussianPsf(0.7, integrated=True),
+                   {'psf_sigma_px': 0.7, 'psf_model': 'integrated_gaussian'}),
+    'array': (ArrayPsf(ARRAY), {'psf': 7 * ARRAY}),
+}
+
+
+def picture(psf, positions, amplitudes, shape=SHAPE):
+    """Return frames of a target of given amplitudes of the whole unit-norm PSF."""
+    frames = []
+    for position, amplitude in zip(positions, amplitudes, strict=True):
+        whole = naive.psf_picture(psf, position)
+        frames.append(amplitude * naive.cut(whole, shape) / np.linalg.norm(whole))
+    return np.array(frames)
+
+
+def detect(frames, **options):
+    return tbd.detect(frames, threshold=8.0, **options).trajectories
+
+
+@pytest.mark.parametrize('name', PSFS)
+@pytest.mark.parametrize('detector', ['convex', 'greedy'])
+def test_noise_free_target_is_recovered(name, detector):
+    psf, options = PSFS[name]
+    [found] = detect(picture(psf, PATH, np.full(T, 10.0)), detector=detector, **options)[:1]
+    error = np.abs(found.positions - PATH).max()
+    # The greedy method stays on the grid.
+    assert error < (0.05 if detector == 'convex' else 1.0)
+    if detector == 'convex':
+        np.testing.assert_allclose(found.amplitudes, 10.0, rtol=2e-3)
+
+
+@pytest.mark.parametrize('name', PSFS)
+@pytest.mark.parametrize('noise', ['variance', 'variances', 'mask', 'masks'])
+def test_noise_free_target_is_recovered_under_variance_and_mask(name, noise):
+    psf, options = PSFS[name]
+    generator = np.random.default_rng(5)
+    shape = (T, *SHAPE) if noise.endswith('s') else SHAPE
+    amplitudes = np.linspace(20, 30, T)
+    frames = picture(psf, PATH, amplitudes)
+    if noise.startswith('mask'):
+        options = {**options, 'mask': generator.random(shape) < 0.3}
+        frames = np.where(options['mask'], 1e6, frames)
+    else:
+        options = {**options, 'variance': generator.uniform(0.2, 4.0, shape)}
+    found = detect(frames, **options)
+    assert len(found) == 1
+    assert np.abs(found[0].positions - PATH).max() < 0.05
+    np.testing.assert_allclose(found[0].amplitudes, amplitudes, rtol=5e-3)
+
+
+def test_amplitude_is_that_of_the_whole_target_at_the_border():
+    path = np.tile([0.0, 11.3], (T, 1))
+    [found] = detect(picture(GaussianPsf(1.0), path, np.full(T, 15.0)), motion_model='static')
+    np.testing.assert_allclose(found.positions, path, atol=0.05)
+    np.testing.assert_allclose(found.amplitudes, 15.0, rtol=5e-3)
+
+
+def test_variance_decides_where_a_target_can_be_seen():
+    frames = picture(GaussianPsf(1.0), PATH, np.full(T, 6.0))
+    assert detect(frames, variance=np.ones(SHAPE))
+    assert not detect(frames, variance=np.full(SHAPE, 16.0))
+
+
+def test_amplitudes_do_not_depend_on_the_units():
+    generator = np.random.default_rng(7)
+    frames = picture(GaussianPsf(1.0), PATH, np.full(T, 9.0)) + generator.standard_normal(
+        (T, *SHAPE))
+    variance = generator.uniform(0.5, 2.0, SHAPE)
+    [plain] = detect(frames, variance=variance)
+    [scaled] = detect(50 * frames, variance=2500 * variance)
+    np.testing.assert_allclose(scaled.positions, plain.positions, atol=1e-3)
+    np.testing.assert_allclose(scaled.amplitudes, 50 * plain.amplitudes, rtol=1e-3)
+    assert scaled.statistic == pytest.approx(plain.statistic, rel=1e-4)
+
+
+def test_infinite_variance_masks_a_pixel():
+    frames = picture(GaussianPsf(1.0), PATH, np.full(T, 20.0))
+    mask = np.random.default_rng(8).random(SHAPE) < 0.2
+    [masked] = detect(frames, mask=mask)
+    [infinite] = detect(frames, variance=np.where(mask, np.inf, 1.0))
+    np.testing.assert_allclose(infinite.positions, masked.positions, atol=1e-3)
+
+
+@pytest.mark.parametrize('name', PSFS)
+@pytest.mark.parametrize('shape', [(1, 40), (40, 1)])
+def test_sensors_of_one_line_are_searched(name, shape):
+    psf, options = PSFS[name]
+    path = np.zeros((T, 2))
+    path[:, 0 if shape[0] == 1 else 1] = 12.3 + 0.4 * np.arange(T)
+    [found] = detect(picture(psf, path, np.full(T, 40.0), shape), **options)
+    np.testing.assert_allclose(found.positions, path, atol=0.05)
+
+
+@pytest.mark.parametrize('name', PSFS)
+def test_a_single_frame_is_searched(name):
+    psf, options = PSFS[name]
+    [found] = detect(picture(psf, PATH[:1], [20.0]), **options)
+    np.testing.assert_allclose(found.positions, PATH[:1], atol=0.05)
+    np.testing.assert_allclose(found.amplitudes, 20.0, rtol=5e-3)
+
+
+@pytest.mark.parametrize(('options', 'words'), [
+    ({'psf': np.ones((4, 5))}, 'odd'), ({'psf': np.zeros((3, 3))}, 'zero'),
+    ({'psf': np.ones(5)}, '2-D'), ({'variance': np.ones((3, 3))}, 'variance'),
+    ({'variance': np.zeros(SHAPE)}, 'above 0'), ({'mask': np.zeros((T - 1, *SHAPE))}, 'frame 7'),
+    ({'variance': np.ones(SHAPE), 'noise': 'map'}, 'noise'),
+    ({'psf': ARRAY, 'detector': 'cfo_dp'}, 'Gaussian')])
+def test_what_cannot_be_used_is_refused_in_one_sentence(options, words):
+    with pytest.raises(tbd.TbdError, match=words) as error:
+        detect(np.zeros((T, *SHAPE)), **options)
+    assert len(str(error.value).splitlines()) == 1
