@@ -18,7 +18,7 @@ MODULES = sorted(SOURCE.rglob('*.py'))
 
 # Rooms of the package to the rooms of the package they may import, beside their own. The file
 # names without a suffix are modules; everything else is a folder.
-BASICS = {'errors', 'types', 'options', 'geometry'}
+BASICS = {'errors', 'given_array', 'types', 'options', 'geometry'}
 ALLOWED = {
     '__init__': BASICS | {'detection', 'solvers'},
     'errors': set(),
