@@ -75,7 +75,12 @@ class MeritDetector(BatchDetector):
         self._fill_radius = max(1, math.ceil(FILLED_SIGMAS * self._psf.width_px))
 
     def noise_study(self, stamps: NDArray, shape: tuple[int, int]) -> NoiseStudy:
-        """Return how to find the largest statistic in noise."""
+        """Return how to find the largest statistic in noise.
+
+        Each round follows one maximum in each frame, wherever it is, so false trajectories are not
+        in proportion to the area. Between 64 x 64 and 256 x 256 pixels four times the area was
+        found to have at most about twice as many, so their number is taken to grow as its root.
+        """
         n_frames, v_max = len(stamps), self._v_max(stamps, shape)
 
         def searcher(crop):
@@ -88,7 +93,7 @@ class MeritDetector(BatchDetector):
             return largest
 
         return NoiseStudy(f'{self._method.name} {v_max} {n_frames} {self._psf.key}',
-                          lambda size: float(size[0] * size[1]), searcher)
+                          lambda size: math.sqrt(size[0] * size[1]), searcher)
 
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:
