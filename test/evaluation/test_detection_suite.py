@@ -7,6 +7,7 @@ import pytest
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.detection_suite import run_detection
 from track_before_detect.evaluation.report import write_suite_result
+from track_before_detect.evaluation.runner import Runner
 from track_before_detect.evaluation.suites import suite_named, SUITES
 from track_before_detect.simulation.scenarios import simulate
 
@@ -19,7 +20,7 @@ def quiet(label, done):
 
 @pytest.fixture(scope='module')
 def result():
-    return run_detection(3, 5, quiet, **TINY)
+    return run_detection(3, 5, Runner(quiet), **TINY)
 
 
 def by_name(result):
@@ -52,8 +53,8 @@ def test_seed_decides_the_recordings_and_the_findings(result):
         return [{key: value for key, value in row.items() if not key.endswith('_s')}
                 for row in rows if row['scenario'] == 'three_targets']
 
-    again = run_detection(2, 5, quiet, **TINY)
-    other = run_detection(2, 6, quiet, **TINY)
+    again = run_detection(2, 5, Runner(quiet), **TINY)
+    other = run_detection(2, 6, Runner(quiet), **TINY)
     assert findings(again.rows) == findings(result.rows)[:2]
     assert findings(other.rows) != findings(again.rows)
 
@@ -65,7 +66,7 @@ def test_seed_of_a_row_makes_its_recording_again(result):
 
 
 def test_dark_targets_leave_the_error_open():
-    quantities = by_name(run_detection(1, 0, quiet, **{**TINY, 'snr': 0.0}))
+    quantities = by_name(run_detection(1, 0, Runner(quiet), **{**TINY, 'snr': 0.0}))
     assert quantities['targets found'].value == 0.0
     assert np.isnan(quantities['position RMSE of found targets'].value)
 
@@ -114,7 +115,7 @@ def test_picture_that_fails_leaves_the_files_of_the_run_before(result, tmp_path)
     (1, 0, {'n_targets': 0}, 'n_targets must be at least 1, got 0')])
 def test_arguments_are_checked(runs, seed, overrides, said):
     with pytest.raises(ParameterError, match=said):
-        run_detection(runs, seed, quiet, **overrides)
+        run_detection(runs, seed, Runner(quiet), **overrides)
 
 
 def test_unknown_suite_is_told_the_nearest():

@@ -19,6 +19,7 @@ from track_before_detect.evaluation.patent_scenes import (
 )
 from track_before_detect.evaluation.patent_suite import METHODS, run_patent
 from track_before_detect.evaluation.report import write_suite_result
+from track_before_detect.evaluation.runner import Runner
 from track_before_detect.evaluation.suites import SUITES
 from track_before_detect.models.psf import GaussianPsf
 
@@ -44,7 +45,7 @@ def result():
         'threshold': figure.options.get('threshold', 7.1)}) for figure in FIGURES]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(patent_suite, 'FIGURES', quick)
-        return run_patent(2, 3, lambda label, done: None)
+        return run_patent(2, 3, Runner(lambda label, done: None))
 
 
 @pytest.mark.parametrize('number', [figure.number for figure in FIGURES])
@@ -168,7 +169,7 @@ def test_there_is_a_picture_of_each_figure_and_one_of_the_table(result, tmp_path
 @pytest.mark.parametrize(('runs', 'seed'), [(0, 0), (1, -1)])
 def test_arguments_are_checked(runs, seed):
     with pytest.raises(ParameterError):
-        run_patent(runs, seed, lambda label, done: None)
+        run_patent(runs, seed, Runner(lambda label, done: None))
 
 
 def test_suite_is_listed():

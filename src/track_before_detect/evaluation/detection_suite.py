@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.confidence import (
@@ -15,47 +13,25 @@ from track_before_detect.evaluation.confidence import (
     poisson_interval,
     wilson_interval,
 )
-from track_before_detect.evaluation.matching import match_trajectories
+from track_before_detect.evaluation.detection_runs import (
+    FOUND_PX,
+    measure,
+    NOISE,
+    options_for,
+    rmse_of,
+    Run,
+    TARGETS,
+)
 from track_before_detect.evaluation.report import Quantity, SuiteResult
-from track_before_detect.evaluation.runs import announced, checked_runs, run_seeds
-from track_before_detect.options import DetectorOptions
+from track_before_detect.evaluation.runner import Runner
+from track_before_detect.evaluation.runs import checked_runs, run_seeds
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.tracking.pipeline import TrackingPipeline
-from track_before_detect.types import FrameBatch, Progress
 
-# A target is found when the mean position error over the batch is below this.
-FOUND_PX = 1.5
-
-_TARGETS, _NOISE = 'three_targets', 'noise'
 _TARGET_COLOUR, _NOISE_COLOUR = '#1f77b4', '#8c8c8c'
 
 
-@dataclasses.dataclass(frozen=True)
-class _Run:
-    """One simulated batch and what was found in it."""
-
-    scenario: str
-    seed: int
-    n_targets: int
-    n_found: int
-    n_false: int
-    rmse_px: float
-    largest_statistic: float
-    threshold: float
-    status: str
-    cpu_s: float
-    wall_s: float
-    distances: NDArray
-    statistics: NDArray
-
-    def row(self) -> dict[str, Any]:
-        """Return what goes into the table."""
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
-                if field.name not in ('distances', 'statistics')}
-
-
-def run_detection(runs: int, seed: int, progress: Progress,
-                  **overrides: Any) -> SuiteResult:
+def run_detection(runs: int, seed: int, runner: Runner, **overrides: Any) -> SuiteResult:
     """Search simulated batches with known targets, and batches of noise.
 
     Parameters
@@ -64,8 +40,8 @@ def run_detection(runs: int, seed: int, progress: Progress,
         Batches with targets; twice as many hold noise alone.
     seed : int
         Every batch gets a seed of its own from this one.
-    progress : callable
-        Called with a label and the share done, 0 to 1.
+    runner : Runner
+        Carries out the runs.
     **overrides
         Parameters of the scenarios to change.
 
@@ -75,24 +51,22 @@ def run_detection(runs: int, seed: int, progress: Progress,
     """
     checked_runs(runs, seed)
     for_targets, for_noise = np.random.SeedSequence(seed).spawn(2)
-    scenario = simulate(_TARGETS, 0, **overrides).scenario
+    scenario = simulate(TARGETS, 0, **overrides).scenario
     if scenario.n_targets < 1:
         raise ParameterError(f'n_targets must be at least 1, got {scenario.n_targets}')
-    options = DetectorOptions(psf_sigma_px=scenario.psf_sigma_px)
-    pipeline = TrackingPipeline(options)
-    pipeline.warm_up((scenario.height, scenario.width), 1 / scenario.fps, scenario.n_frames,
-                     progress)
-    # The first batch of a size also makes room for the tables of the search.
-    _measure(pipeline, _TARGETS, 0, overrides)
-
+    options = options_for(scenario)
+    threshold = TrackingPipeline(options).warm_up(
+        (scenario.height, scenario.width), 1 / scenario.fps, scenario.n_frames, runner.progress)
     # Noise has the targets' frames, not their number.
     of_noise = {key: value for key, value in overrides.items() if key != 'n_targets'}
-    with_targets = [_measure(pipeline, _TARGETS, run_seed, overrides)
-                    for run_seed in announced(run_seeds(for_targets, runs),
-                                              'searching three targets', progress)]
-    noise = [_measure(pipeline, _NOISE, run_seed, of_noise)
-             for run_seed in announced(run_seeds(for_noise, 2 * runs), 'searching noise',
-                                       progress)]
+
+    def measured(name, sequence, count, changes, label):
+        items = [{'scenario': name, 'seed': one, 'overrides': changes, 'threshold': threshold}
+                 for one in run_seeds(sequence, count)]
+        return [Run.read(result) for result in runner.map(measure, items, label)]
+
+    with_targets = measured(TARGETS, for_targets, runs, overrides, 'searching three targets')
+    noise = measured(NOISE, for_noise, 2 * runs, of_noise, 'searching noise')
     return SuiteResult(
         'Detection of three dim targets, and of nothing in noise',
         f'{runs} batches of {scenario.n_frames} frames of {scenario.width} x {scenario.height} '
@@ -109,32 +83,6 @@ def run_detection(runs: int, seed: int, progress: Progress,
         lambda figure: _draw(figure, with_targets, noise))
 
 
-def _measure(pipeline, name, seed, overrides):
-    """Search one simulated batch."""
-    made = simulate(name, seed, **overrides)
-    batch = FrameBatch(made.frames, made.stamps, np.arange(len(made.frames)))
-    pipeline.reset()
-    wall, cpu = time.perf_counter(), time.process_time()
-    result = pipeline.process(batch)
-    cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    targets = made.truth[:, 2:].reshape(-1, len(made.frames), 2)
-    matching = match_trajectories(
-        [trajectory.positions for trajectory in result.trajectories], targets, FOUND_PX)
-    statistics = np.array([trajectory.statistic for trajectory in result.trajectories])
-    # The first search finds the best of all paths, be it above the threshold or not.
-    largest = (1 + result.history[0].violation) * result.threshold
-    return _Run(
-        name, seed, len(targets), len(matching.pairs),
-        len(result.trajectories) - len(matching.pairs), _rmse(matching.distances),
-        float(max([largest, *statistics])), result.threshold, result.status, cpu, wall,
-        matching.distances, statistics[matching.pairs[:, 0]])
-
-
-def _rmse(distances):
-    values = distances[np.isfinite(distances)]
-    return float(np.sqrt(np.mean(values**2))) if len(values) else float('nan')
-
-
 def _quantities(with_targets, noise, requested):
     """Return the lines of the report."""
     n_targets = sum(run.n_targets for run in with_targets)
@@ -143,7 +91,7 @@ def _quantities(with_targets, noise, requested):
     n_alarms = sum(run.n_false > 0 for run in noise)
     n_runs = len(with_targets)
     found_runs = [run for run in with_targets if run.n_found]
-    rmse = _rmse(np.concatenate([run.distances.ravel() for run in with_targets]))
+    rmse = rmse_of(np.concatenate([run.distances.ravel() for run in with_targets]))
     rmse_ends = (float('nan'), float('nan'))
     if found_runs:
         sums = np.array([(np.nansum(run.distances**2), np.isfinite(run.distances).sum())

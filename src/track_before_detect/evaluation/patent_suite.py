@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 import dataclasses
 import functools
-import time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation import patent_pictures
+from track_before_detect.evaluation import patent_pictures, patent_runs
 from track_before_detect.evaluation.confidence import wilson_interval
 from track_before_detect.evaluation.patent_scenes import (
     COMBINATORIAL,
@@ -27,11 +26,10 @@ from track_before_detect.evaluation.patent_scenes import (
     WIDTH_PX,
 )
 from track_before_detect.evaluation.report import Quantity, SuiteResult
-from track_before_detect.evaluation.runs import announced, checked_runs, run_seeds
+from track_before_detect.evaluation.runner import Runner
+from track_before_detect.evaluation.runs import checked_runs, run_seeds
 from track_before_detect.options import DEFAULT_CONTINUATION, DetectorOptions
-from track_before_detect.solvers.batch_detector import BatchDetector
 from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
-from track_before_detect.types import Progress
 
 METHODS: dict[str, dict[str, Any]] = {
     CONVEX: {'detector': 'convex', 'continuation': (1.0,)},
@@ -55,6 +53,17 @@ class _Run:
     status: str
     cpu_s: float
 
+    @classmethod
+    def read(cls, figure: Figure, method: str, item: Mapping[str, Any],
+             result: Mapping[str, Any]) -> _Run:
+        """Return the run of an item."""
+        scene = figure.make(np.random.default_rng(item['seed']))
+        found, amplitudes = (np.array(result[key], float).reshape(-1, len(scene.measured))
+                             for key in ('found', 'amplitudes'))
+        met = [bool(criterion.met(scene, found)) for criterion in figure.criteria]
+        return cls(figure, method, item['seed'], found, amplitudes, met,
+                   item['options'][method]['threshold'], result['status'], result['cpu_s'])
+
     def row(self) -> dict[str, Any]:
         """Return what goes into the table."""
         met = [criterion.label
@@ -64,7 +73,7 @@ class _Run:
                 'threshold': self.threshold, 'status': self.status, 'cpu_s': self.cpu_s}
 
 
-def run_patent(runs: int, seed: int, progress: Progress) -> SuiteResult:
+def run_patent(runs: int, seed: int, runner: Runner) -> SuiteResult:
     """Detect the targets of each figure by each method.
 
     Parameters
@@ -73,8 +82,8 @@ def run_patent(runs: int, seed: int, progress: Progress) -> SuiteResult:
         Scenes per figure.
     seed : int
         Every scene gets a seed of its own from this one.
-    progress : callable
-        Called with a label and the share done, 0 to 1.
+    runner : Runner
+        Carries out the runs.
 
     Returns
     -------
@@ -85,12 +94,13 @@ def run_patent(runs: int, seed: int, progress: Progress) -> SuiteResult:
     pictures: dict[str, Callable[[Any], None]] = {}
     for figure, sequence in zip(
             FIGURES, np.random.SeedSequence(seed).spawn(len(FIGURES)), strict=True):
-        detectors = {name: _detector(figure, method, progress)
-                     for name, method in METHODS.items()}
+        options = {name: _calibrated(figure, method, runner)
+                   for name, method in METHODS.items()}
         seeds = run_seeds(sequence, runs)
-        for run_seed in announced(seeds, f'figure {figure.number}', progress):
-            made += [_measure(figure, name, detector, run_seed)
-                     for name, detector in detectors.items()]
+        items = [{'figure': figure.number, 'seed': one, 'options': options} for one in seeds]
+        for item, results in zip(items, runner.map(
+                patent_runs.measure, items, f'figure {figure.number}'), strict=True):
+            made += [_Run.read(figure, name, item, result) for name, result in results.items()]
         pictures[f'figure_{figure.number}'] = _picture(
             figure, {run.method: run for run in made if run.seed == seeds[0]})
     quantities, bars = _quantities(made)
@@ -112,27 +122,13 @@ def run_patent(runs: int, seed: int, progress: Progress) -> SuiteResult:
         functools.partial(patent_pictures.draw_shares, bars), pictures)
 
 
-def _detector(figure, method, progress) -> BatchDetector:
-    """Return a detector that is compiled and calibrated."""
-    options = DetectorOptions(**figure.options, **method)
-    detector = DETECTOR_CLASSES[options.detector](options)
-    frames = figure.make(np.random.default_rng(0)).measured
-    detector.detect(frames, np.arange(float(len(frames))), progress)
-    return detector
-
-
-def _measure(figure, method, detector, seed):
-    """Search one scene."""
-    scene = figure.make(np.random.default_rng(seed))
-    n_frames = len(scene.measured)
-    started = time.process_time()
-    result = detector.detect(scene.measured, np.arange(float(n_frames)))
-    cpu_s = time.process_time() - started
-    found = np.array([path.positions[:, 0] for path in result.found]).reshape(-1, n_frames)
-    amplitudes = np.array([path.amplitudes for path in result.found]).reshape(-1, n_frames)
-    met = [bool(criterion.met(scene, found)) for criterion in figure.criteria]
-    return _Run(figure, method, seed, found, amplitudes, met, result.threshold, result.status,
-                cpu_s)
+def _calibrated(figure, method, runner) -> dict[str, Any]:
+    """Return the options of a method with the threshold for the scenes of a figure."""
+    options = {**figure.options, **method}
+    detector = DETECTOR_CLASSES[method['detector']](DetectorOptions.from_mapping(options))
+    n_frames, *shape = figure.make(np.random.default_rng(0)).measured.shape
+    threshold = detector.threshold(np.arange(float(n_frames)), tuple(shape), runner.progress)
+    return {**options, 'threshold': threshold}
 
 
 def _picture(figure, first_runs: Mapping[str, _Run]):

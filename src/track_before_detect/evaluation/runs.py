@@ -1,14 +1,12 @@
-"""Runs of a study: their seeds, and what is told while they go on."""
+"""Runs of a study and their seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 import hashlib
 
 import numpy as np
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.types import Progress
 
 
 def checked_runs(runs: int, seed: int) -> None:
@@ -39,11 +37,3 @@ def seeds_of(seed: int, name: str, count: int) -> list[int]:
     """
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), '<u4')
     return run_seeds(np.random.SeedSequence([seed, *words.tolist()]), count)
-
-
-def announced(seeds: Sequence[int], label: str, progress: Progress) -> Iterator[int]:
-    """Yield the seeds and tell the share done before each and at the end."""
-    for number, seed in enumerate(seeds):
-        progress(label, number / len(seeds))
-        yield seed
-    progress(label, 1.0)

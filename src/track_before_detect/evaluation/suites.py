@@ -38,11 +38,11 @@ SUITES: dict[str, Suite] = {
     'detection': Suite(
         'The convex detector on three targets at SNR 3 (N runs) and on noise alone (2 N runs): '
         'targets found, false trajectories, accuracy, time, realised false alarm rate.',
-        lambda runs, seed, runner: run_detection(runs, seed, runner.progress)),
+        run_detection),
     'patent': Suite(
         'Figures 2-7 of US application 18/790,866 (N scenes each) by the convex method, its '
         'continuation, t = 0 only and greedy: how often each shows what the text describes.',
-        lambda runs, seed, runner: run_patent(runs, seed, runner.progress)),
+        run_patent),
     'compare': Suite(
         'Every detector on eight scenes at SNR 1.5 to 3 (N batches each) at equal false alarms: '
         'the best per scene, targets found, false trajectories, GOSPA.', run_compare),
