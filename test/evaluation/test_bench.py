@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.evaluation import bench, bench_dp, benches
+from track_before_detect.evaluation import bench, bench_dp, bench_search, benches
 from track_before_detect.evaluation.machine import describe_machine
 from track_before_detect.evaluation.numpy_merit import numpy_merit_functions
 from track_before_detect.solvers.merit_functions import merit_functions
@@ -24,7 +24,7 @@ def measured():
 
 def test_every_stage_is_measured(measured):
     [case] = measured['cases']
-    for stage in ('detection', 'matched_filter', 'path_search', 'table_copy'):
+    for stage in ('detection', 'matched_filter', 'path_search', 'layer_copy'):
         for clock in ('wall_s', 'cpu_s'):
             assert 0 <= case[stage][clock]['min'] <= case[stage][clock]['median']
         assert case[stage]['wall_s']['min'] > 0
@@ -35,14 +35,29 @@ def test_every_stage_is_measured(measured):
 def test_rates_and_ratios_agree_with_the_times(measured):
     [case] = measured['cases']
     seconds = case['path_search']['wall_s']['min']
-    assert case['n_states'] == (
-        case['n_segments'] * case['n_velocities'] * case['n_positions'])
-    assert case['table_bytes'] == 4 * case['n_states']
-    assert case['path_search_states_per_s'] == pytest.approx(case['n_states'] / seconds)
-    assert case['path_search_frame_states_per_s'] == pytest.approx(
-        case['n_frames'] * case['n_velocities'] * case['n_positions'] / seconds)
-    assert case['path_search_over_copy']['of_minima'] == pytest.approx(
-        seconds / case['table_copy']['wall_s']['min'])
+    assert case['n_states'] == case['n_velocities'] * case['n_positions']
+    n_weights = case['n_frames'] * case['n_states']
+    assert case['score_volume_bytes'] == 4 * n_weights
+    assert case['states_per_s'] == pytest.approx(n_weights / seconds)
+    assert case['computed_states_per_s'] == pytest.approx(
+        case['n_segments'] * case['n_states'] / seconds)
+    copy = case['layer_copy']['wall_s']['min']
+    for stage in ('detection', 'matched_filter', 'path_search'):
+        assert case['over_volume_copy'][stage] == pytest.approx(
+            case[stage]['wall_s']['min'] / (case['n_frames'] * copy))
+    assert case['search_over_copy_of_computed']['of_minima'] == pytest.approx(
+        seconds / (case['n_segments'] * copy))
+
+
+def test_search_alone_is_measured_frame_by_frame_and_in_segments():
+    searches = [bench_search.measure_search(*case, 2, grid_shape=(20, 50))
+                for case in bench_search.search_cases()]
+    by_frame, by_segment = searches
+    assert by_frame['n_segments'] == by_frame['n_frames'] and by_frame['n_velocities'] == 25
+    assert by_segment['n_segments'] < by_segment['n_frames']
+    for case in searches:
+        assert case['states_per_s'] >= case['computed_states_per_s'] > 0
+    assert all('0.00 M positions' in row for row in bench_search.search_rows(searches))
 
 
 def test_measurements_are_plain_numbers_and_make_a_table(measured):
@@ -58,12 +73,15 @@ def test_machine_is_described_without_its_name():
     assert os.uname().nodename not in text.split('"')
 
 
-def test_standard_cases_are_the_three_scenes_in_small_and_large():
+def test_standard_cases_go_from_noise_to_a_crowd():
     small, both = bench.convex_cases(False), bench.convex_cases(True)
-    assert [case.name for case in small] == ['noise', 'three targets, SNR 3', 'six targets, SNR 5']
-    assert both[:3] == small
-    assert {(case.overrides['height'], case.overrides['width']) for case in both[3:]} == {
-        (512, 640)}
+    assert [case.name for case in small] == [
+        'noise', 'three targets, SNR 3', 'six targets, SNR 5', 'six targets, SNR 5',
+        'fifty targets, SNR 5']
+    assert both[:5] == small
+    assert {(case.overrides['height'], case.overrides['width']) for case in both[5:]} == {
+        (512, 640), (512, 512)}
+    assert both[-1].overrides['n_targets'] == 200
 
 
 def test_error_of_a_measurement_reaches_the_caller():

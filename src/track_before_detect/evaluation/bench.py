@@ -14,9 +14,8 @@ import signal
 import sys
 from typing import Any
 
-import numpy as np
-
 from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.evaluation import bench_search
 from track_before_detect.evaluation.machine import describe_machine, machine_line
 from track_before_detect.evaluation.timing import summary, timed
 from track_before_detect.models.amplitudes import AmplitudeModel
@@ -41,28 +40,33 @@ class Case:
     overrides: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
 
-_SMALL = {'height': 128, 'width': 128, 'n_frames': 20}
-_LARGE = {'height': 512, 'width': 640, 'n_frames': 20}
 _SCENES: tuple[tuple[str, str, dict[str, Any]], ...] = (
     ('noise', 'noise', {}),
     ('three targets, SNR 3', 'three_targets', {'snr': 3.0}),
     ('six targets, SNR 5', 'three_targets', {'n_targets': 6, 'snr': 5.0}),
 )
+_FEW_AND_MANY = (_SCENES[2], ('fifty targets, SNR 5', 'three_targets',
+                              {'n_targets': 50, 'snr': 5.0}))
+_CROWD = (('200 targets, SNR 5', 'three_targets', {'n_targets': 200, 'snr': 5.0}),)
 
 
 def convex_cases(large: bool) -> list[Case]:
     """Return what ``tbd bench convex`` measures."""
-    sizes = [_SMALL, _LARGE] if large else [_SMALL]
-    return [Case(name, scenario, {**size, **overrides})
-            for size in sizes for name, scenario, overrides in _SCENES]
+    sizes = [((128, 128), _SCENES), ((256, 256), _FEW_AND_MANY)]
+    if large:
+        sizes += [((512, 640), _SCENES), ((512, 512), _CROWD)]
+    return [Case(name, scenario, {'height': height, 'width': width, 'n_frames': 20, **overrides})
+            for (height, width), scenes in sizes for name, scenario, overrides in scenes]
 
 
 def measure_convex(repeats: int, large: bool, progress: Progress) -> dict[str, Any]:
     """Measure the standard cases; parameters as below and in :func:`convex_cases`."""
-    return bench_convex(repeats, convex_cases(large), progress)
+    return bench_convex(repeats, convex_cases(large), progress,
+                        bench_search.search_cases() if large else ())
 
 
-def bench_convex(repeats: int, cases: Sequence[Case], progress: Progress) -> dict[str, Any]:
+def bench_convex(repeats: int, cases: Sequence[Case], progress: Progress,
+                 searches: Sequence[tuple[str, int]] = ()) -> dict[str, Any]:
     """Measure the convex detector.
 
     Parameters
@@ -73,22 +77,29 @@ def bench_convex(repeats: int, cases: Sequence[Case], progress: Progress) -> dic
         What to search.
     progress : callable
         Called with a label and the share done, 0 to 1.
+    searches : sequence of (str, int)
+        Searches without frames: name and number of frames.
 
     Returns
     -------
     dict
-        ``bench``, ``seed``, ``repeats``, ``machine`` and ``cases``; times in seconds, memory in
-        bytes.
+        ``bench``, ``seed``, ``repeats``, ``machine``, ``cases`` and ``searches``; times in
+        seconds, memory in bytes.
     """
     if repeats < 1:
         raise ParameterError(f'repeats must be at least 1, got {repeats}')
     measured = []
+    n_all = len(cases) + len(searches)
     for number, case in enumerate(cases):
-        progress('measuring', number / len(cases))
+        progress('measuring', number / n_all)
         measured.append(_in_own_process(measure_case, case, repeats))
+    searched = []
+    for number, (name, n_frames) in enumerate(searches):
+        progress('measuring', (len(cases) + number) / n_all)
+        searched.append(_in_own_process(bench_search.measure_search, name, n_frames, repeats))
     progress('measuring', 1.0)
     return {'bench': 'convex', 'seed': SEED, 'repeats': repeats, 'machine': describe_machine(),
-            'cases': measured}
+            'cases': measured, 'searches': searched}
 
 
 def measure_case(case: Case, repeats: int) -> dict[str, Any]:
@@ -99,6 +110,11 @@ def measure_case(case: Case, repeats: int) -> dict[str, Any]:
     TrackingPipeline(options).warm_up(
         made.frames.shape[1:], 1 / made.scenario.fps, len(made.frames))
     # One after the other, so that the tables of the first are gone when the second makes its own.
+    detection = _measure_detection(made, options, repeats)
+    stages = _measure_stages(made, options, repeats)
+    volume_copy = stages['layer_copy']['wall_s']['min'] * len(made.frames)
+    stages['over_volume_copy']['detection'] = (
+        detection['detection']['wall_s']['min'] / volume_copy)
     return {
         'name': case.name,
         'scenario': case.scenario,
@@ -106,8 +122,8 @@ def measure_case(case: Case, repeats: int) -> dict[str, Any]:
         'n_frames': len(made.frames),
         'height_px': made.frames.shape[1],
         'width_px': made.frames.shape[2],
-        **_measure_detection(made, options, repeats),
-        **_measure_stages(made, options, repeats),
+        **detection,
+        **stages,
     }
 
 
@@ -126,70 +142,54 @@ def _measure_detection(made, options, repeats):
 
 
 def _measure_stages(made, options, repeats):
-    """Measure the stages of a search on one thread, and a copy of the table it fills."""
+    """Measure the stages of a search on one thread, and a copy of one weight for each state."""
     shape = made.frames.shape[1:]
     graph = ConvexDetector(options).graph(made.stamps, shape)
     search = PathSearch(graph, GaussianPsf(options.psf_sigma_px), shape,
                         AmplitudeModel.named(options.amplitudes, options.amplitude_model))
     scores = search.scores(made.frames)
     search.run(scores)
-    n_y, n_x = search.grid_shape
-    table = np.ones((graph.n_segments, n_y, graph.n_velocities, n_x), np.float32)
-    # A first copy makes the system hand out the memory.
-    copy = table.copy()
-    filtering, searching, copying = timed(
+    filtering, searching, layer = timed(
         [lambda: search.scores(made.frames), lambda: search.run(scores),
-         lambda: np.copyto(copy, table)], repeats)
-    n_frame_states = graph.n_frames * graph.n_velocities * n_y * n_x
-    least, least_copy = searching[:, 0].min(), copying[:, 0].min()
-    return {
-        'n_segments': graph.n_segments,
-        'n_velocities': graph.n_velocities,
-        'n_positions': n_y * n_x,
-        'n_states': table.size,
-        'n_frame_states': n_frame_states,
-        'table_bytes': table.nbytes,
-        'matched_filter': summary(filtering),
-        'path_search': summary(searching),
-        'table_copy': summary(copying),
-        'path_search_states_per_s': float(table.size / least),
-        'path_search_frame_states_per_s': float(n_frame_states / least),
-        'path_search_over_copy': {
-            'of_minima': float(least / least_copy),
-            'median': float(np.median(searching[:, 0] / copying[:, 0])),
-        },
-    }
+         bench_search.copying(graph, search.grid_shape)], repeats)
+    return bench_search.compared(graph, search.grid_shape,
+                                 {'matched_filter': filtering, 'path_search': searching}, layer)
 
 
 def bench_table(measured: Mapping[str, Any]) -> str:
     """Return the measurements as text."""
-    rows = [('frames', 'scene', 'found', 'detection', 'its CPU', 'scores*', 'path search*',
-             'copy*', 'search/copy*', 'ns/state*', 'ns/frame state*', 'peak MiB')]
+    rows = [('frames', 'scene', 'found', 'detection', 'its CPU', 'scores*', 'search*',
+             'ns/state*', 'detection/copy', 'scores/copy*', 'search/copy*', 'peak MiB')]
     for case in measured['cases']:
-        ratio = case['path_search_over_copy']
+        ratio = case['over_volume_copy']
         rows.append((
             f'{case["n_frames"]} x {case["width_px"]} x {case["height_px"]}', case['name'],
             str(case['n_trajectories']), _ms(case['detection']['wall_s']),
             _ms(case['detection']['cpu_s']), _ms(case['matched_filter']['wall_s']),
-            _ms(case['path_search']['wall_s']), _ms(case['table_copy']['wall_s']),
-            f'{ratio["of_minima"]:.2f} ({ratio["median"]:.2f})',
-            f'{1e9 / case["path_search_states_per_s"]:.2f}',
-            f'{1e9 / case["path_search_frame_states_per_s"]:.2f}',
+            _ms(case['path_search']['wall_s']), f'{1e9 / case["states_per_s"]:.2f}',
+            *(f'{ratio[stage]:.2f}' for stage in ('detection', 'matched_filter', 'path_search')),
             f'{case["peak_memory_bytes"] / 2**20:.0f}'))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ['  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-             for row in rows]
-    tables = '; '.join(dict.fromkeys(
+    sizes = '; '.join(dict.fromkeys(
         f'{case["width_px"]} x {case["height_px"]} px: {case["n_segments"]} segments x '
         f'{case["n_velocities"]} velocities x {case["n_positions"]} positions'
         for case in measured['cases']))
-    lines += [
+    lines = [
+        *_aligned(rows), '',
         f'Times in ms, least of {measured["repeats"]} (median in brackets); * on one thread.',
-        f'States are the entries of the table that a path search fills ({tables}); frame states '
-        'count frames in place of segments.',
-        f'{machine_line()}.',
-    ]
-    return '\n'.join(lines)
+        f'A state is a position and a velocity in one frame ({sizes}); "copy" is that of the',
+        'score volume, a float for each of them.']
+    if measured['searches']:
+        alone = [('grid', 'search alone*', 'ms', 'ns/state', 'ns/weight computed',
+                 'over copy of volume', 'over copy of weights computed'),
+                *bench_search.search_rows(measured['searches'])]
+        lines += ['', *_aligned(alone)]
+    return '\n'.join([*lines, f'{machine_line()}.'])
+
+
+def _aligned(rows):
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ['  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+            for row in rows]
 
 
 def _ms(times):
