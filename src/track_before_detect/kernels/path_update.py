@@ -21,7 +21,7 @@ import numpy as np
 
 from track_before_detect.kernels.path_search import ABSENT, BLOCKS, run_of_blocks
 
-_COMPILE = {'nogil': True, 'cache': True}
+_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz'}}
 _U = np.uint64
 
 
@@ -49,6 +49,27 @@ def _differ(new, a, old, b, n):
 
 
 @numba.njit(**_COMPILE)
+def _largest_rise(new, a, old, b, n):
+    rise = np.float32(0)
+    for x in range(_U(n)):
+        change = new[a + x] - old[b + x]
+        rise = rise if rise > change else change
+    return rise
+
+
+@numba.njit(**_COMPILE)
+def _copy_and_size(out, o, source, a, n):
+    """Write source[a + x] to out[o + x]; return the largest size of those that are not absent."""
+    largest = np.float32(0)
+    for x in range(_U(n)):
+        score = source[a + x]
+        out[o + x] = score
+        size = abs(score) if score > ABSENT else np.float32(0)
+        largest = largest if largest > size else size
+    return largest
+
+
+@numba.njit(**_COMPILE)
 def replace_scores(scores, scores_bits, marks, rise, largest, new, new_bits, layout, first_row,
                    last_row):
     """Bring the scores up to date, and find where they differ and how much they rise.
@@ -72,26 +93,36 @@ def replace_scores(scores, scores_bits, marks, rise, largest, new, new_bits, lay
                 n = min(layout.block, layout.n_x - start)
                 if _differ(new_bits, _U(row + start), scores_bits, _U(kept + start), n):
                     marks[t, y] |= _U(1) << _U(start // layout.block)
-                    for x in range(start, start + n):
-                        score = flat[row + x]
-                        rise[y, t] = max(rise[y, t], score - scores[kept + x])
-                        scores[kept + x] = score
-                        if score > ABSENT:
-                            largest[y, t] = max(largest[y, t], abs(score))
+                    o, a = _U(kept + start), _U(row + start)
+                    rise[y, t] = max(rise[y, t], _largest_rise(flat, a, scores, o, n))
+                    largest[y, t] = max(largest[y, t], _copy_and_size(scores, o, flat, a, n))
+
+
+@numba.njit(**_COMPILE)
+def _copy_and_raise_sizes(out, o, source, a, sizes, n):
+    for x in range(_U(n)):
+        score = source[a + x]
+        out[o + x] = score
+        size = abs(score) if score > ABSENT else np.float32(0)
+        sizes[x] = sizes[x] if sizes[x] > size else size
 
 
 @numba.njit(**_COMPILE)
 def store_scores(scores, largest, new, layout, first_row, last_row):
-    """Copy scores (T, Y, X); write the largest size in row y of frame t to largest[y, t]."""
+    """Copy scores (T, Y, X), and find how large they are.
+
+    largest : float32 (Y, T), the largest size in frame t in one of these rows, zero in the others
+    """
+    flat = new.reshape(new.size)
+    sizes = np.empty(layout.n_x, np.float32)
     for t in range(new.shape[0]):
+        sizes[:] = 0
         for y in range(first_row, last_row):
-            kept = layout.pad + (t * layout.n_y + y) * layout.stride
-            top = np.float32(0)
-            for x in range(layout.n_x):
-                scores[kept + x] = new[t, y, x]
-                if new[t, y, x] > ABSENT:
-                    top = max(top, abs(new[t, y, x]))
-            largest[y, t] = top
+            row = t * layout.n_y + y
+            _copy_and_raise_sizes(scores, _U(layout.pad + row * layout.stride), flat,
+                                  _U(row * layout.n_x), sizes, layout.n_x)
+            largest[y, t] = 0
+        largest[first_row, t] = sizes.max()
 
 
 @numba.njit(**_COMPILE)

@@ -88,6 +88,7 @@ class PathDetector(BatchDetector):
         self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
         _check_motion(options)
         self.presence = presence_for(self.model) if options.presence == 'partial' else None
+        self._kept_graph: tuple[tuple, StateGraph] | None = None
         self._search: tuple[tuple, PathSearch] | None = None
         self._warned = False
 
@@ -97,6 +98,12 @@ class PathDetector(BatchDetector):
         Where the search would take too much memory or time, the fastest motions are left out,
         with a warning.
         """
+        key = (regular_stamps(stamps).tobytes(), median_interval(stamps), shape)
+        if self._kept_graph is None or self._kept_graph[0] != key:
+            self._kept_graph = (key, self._new_graph(stamps, shape))
+        return self._kept_graph[1]
+
+    def _new_graph(self, stamps, shape):
         options = self.options
         interval = median_interval(stamps)
         if options.motion_model == 'range_doppler':

@@ -62,8 +62,8 @@ class PathTable:
     def fill(self, scores: NDArray) -> None:
         """Compute all states for scores of shape (T, Y, X)."""
         self._take_memory()
-        self.over_rows(path_update.store_scores, self._scores, self._largest, scores,
-                       self._layout)
+        self.over_rows(path_update.store_scores, self._scores, self._largest,
+                       np.ascontiguousarray(scores), self._layout)
         self._fill()
 
     def _fill(self):
@@ -82,7 +82,7 @@ class PathTable:
         if not self._filled:
             self.fill(scores)
             return float(self.best.max())
-        rise = self._mark_changes(scores)
+        rise = self._mark_changes(np.ascontiguousarray(scores))
         self.over_rows(path_update.raise_stale, self.best, self._stale_last, np.float32(rise),
                        self._layout)
         n_y = self._layout.n_y
