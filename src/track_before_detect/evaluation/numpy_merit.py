@@ -78,7 +78,7 @@ class _SecondOrder:
         # Nothing outside matches, everything matches where no velocity was chosen.
         self._states = [_Padded(shape, 2 * v_max, 0, needed.dtype) for _ in range(2)]
         self._unknown = np.iinfo(needed.dtype).max
-        self._chosen = np.full((3, *shape), self._unknown)
+        self._chosen = np.full((3, *shape), self._unknown, needed.dtype)
         self._best, self._kept, self._value = (np.empty(shape, np.float32) for _ in range(3))
         self._better, self._matches = np.empty(shape, bool), np.empty(shape, bool)
         self._bits = np.empty(shape, needed.dtype)
