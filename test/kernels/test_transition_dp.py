@@ -82,9 +82,10 @@ def test_targets_equal_those_of_computing_everything_again(merit, is_complex, si
     seen = np.empty((50, len(data.psi), 5), np.float32)
     values = np.empty(50, np.float32)
     n, left, _ = transition_dp.find_targets(
-        data.psi.copy(), data.phi.copy(), data.weights, data.stamp, cores(psf), merit.squared,
-        merit.signed, data.scores(merit), np.empty(shape, np.float32), sets.rows, sets.row_first,
-        sets.sets, np.float32(bound), paths, seen, values)
+        data.psi, data.phi, data.weights, data.stamp, cores(psf), merit.squared, merit.signed,
+        data.scores(merit), np.empty(shape, np.float32), np.zeros_like(data.psi),
+        np.zeros(shape, bool), sets.rows, sets.row_first, sets.sets, np.float32(bound), paths,
+        seen, values)
     assert n == len(expected) > 0
     assert left <= bound
     for i, (path, path_seen, value) in enumerate(expected):

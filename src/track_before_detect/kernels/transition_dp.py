@@ -214,18 +214,18 @@ def _trace(merit, rows, row_first, sets, y, x, path):
 
 
 @numba.njit(**_COMPILE)
-def _power(out, o, real, imaginary, phi, n):
+def _power(out, o, real, imaginary, phi, i, n):
     for x in range(_U(n)):
-        share = phi[o + x]
-        power = real[o + x] * real[o + x] + imaginary[o + x] * imaginary[o + x]
+        share = phi[i + x]
+        power = real[i + x] * real[i + x] + imaginary[i + x] * imaginary[i + x]
         out[o + x] = power / share if share > LEAST_PHI else np.float32(0)
 
 
 @numba.njit(**_COMPILE)
-def _statistic(out, o, psi, phi, n):
+def _statistic(out, o, psi, phi, i, n):
     for x in range(_U(n)):
-        share = phi[o + x]
-        out[o + x] = psi[o + x] / np.sqrt(share) if share > LEAST_PHI else np.float32(0)
+        share = phi[i + x]
+        out[o + x] = psi[i + x] / np.sqrt(share) if share > LEAST_PHI else np.float32(0)
 
 
 @numba.njit(**_COMPILE)
@@ -254,37 +254,58 @@ def _absolute(out, o, n):
 
 
 @numba.njit(**_COMPILE)
-def score_pixels(scores, psi, phi, boxes, squared, signed):
-    """Write what a pixel adds to the merit function, for the pixels of boxes[t] of each frame.
+def _score_row(out, o, real, imaginary, phi, i, n, is_complex, squared, signed):
+    """Write what pixels add to the merit function, from psi and phi at i, to out[o + x]."""
+    if is_complex:
+        _power(out, o, real, imaginary, phi, i, n)
+        if not squared:
+            _root(out, o, n)
+        return
+    _statistic(out, o, real, phi, i, n)
+    if squared and signed:
+        _square(out, o, n)
+    elif squared:
+        _square_positive(out, o, n)
+    elif signed:
+        _absolute(out, o, n)
+
+
+@numba.njit(**_COMPILE)
+def score_pixels(scores, psi, phi, squared, signed):
+    """Write what each pixel adds to the merit function.
 
     With h = psi / sqrt(phi) that is h, |h| where signed or complex, or the square of either;
     max(h, 0)^2 for the square of an h that is not signed.
     """
-    n_frames, n_y, n_x = scores.shape
+    n_x = scores.shape[2]
     flat = scores.reshape(scores.size)
     flat_phi = phi.reshape(phi.size)
     real = psi[0].reshape(phi.size)
     imaginary = psi[psi.shape[0] - 1].reshape(phi.size)
-    for t in range(n_frames):
-        n = boxes[t, 3] - boxes[t, 2]
-        for y in range(boxes[t, 0], boxes[t, 1]):
-            o = _U((t * n_y + y) * n_x + boxes[t, 2])
-            if psi.shape[0] == 2:
-                _power(flat, o, real, imaginary, flat_phi, n)
-                if not squared:
-                    _root(flat, o, n)
-                continue
-            _statistic(flat, o, real, flat_phi, n)
-            if squared and signed:
-                _square(flat, o, n)
-            elif squared:
-                _square_positive(flat, o, n)
-            elif signed:
-                _absolute(flat, o, n)
+    for row in range(scores.size // n_x):
+        o = _U(row * n_x)
+        _score_row(flat, o, real, imaginary, flat_phi, o, n_x, psi.shape[0] == 2, squared, signed)
 
 
 @numba.njit(**_COMPILE)
-def _cancel_in_frame(psi, phi, weights, stamp, cores, t, y, x, seen):
+def _score_again(scores, psi, taken, spoilt, phi, t, box, squared, signed):
+    """Write what the pixels of a box of frame t add after what was taken from them."""
+    n_x = scores.shape[2]
+    n = box[3] - box[2]
+    flat = scores.reshape(scores.size)
+    parts = np.zeros((3, n), np.float32)
+    for y in range(box[0], box[1]):
+        for x in range(n):
+            u = box[2] + x
+            parts[2, x] = np.float32(0) if spoilt[t, y, u] else phi[t, y, u]
+            for c in range(psi.shape[0]):
+                parts[c, x] = psi[c, t, y, u] - taken[c, t, y, u]
+        _score_row(flat, _U((t * scores.shape[1] + y) * n_x + box[2]), parts[0], parts[1],
+                   parts[2], _U(0), n, psi.shape[0] == 2, squared, signed)
+
+
+@numba.njit(**_COMPILE)
+def _cancel_in_frame(psi, taken, spoilt, phi, weights, stamp, cores, t, y, x, seen):
     """Subtract the target at pixel (x, y) of frame t, and end the use of the pixels it spoils.
 
     What a target adds to psi of other pixels follows from its fit in this pixel. Rounding to whole
@@ -293,10 +314,12 @@ def _cancel_in_frame(psi, phi, weights, stamp, cores, t, y, x, seen):
     """
     n_y, n_x = phi.shape[1:]
     half = stamp.shape[0] // 2
-    share = phi[t, y, x]
+    share = np.float32(0) if spoilt[t, y, x] else phi[t, y, x]
     squared = np.float32(0)
     for c in range(psi.shape[0]):
-        seen[c] = psi[c, t, y, x] / np.sqrt(share) if share > LEAST_PHI else np.float32(0)
+        seen[c] = np.float32(0)
+        if share > LEAST_PHI:
+            seen[c] = (psi[c, t, y, x] - taken[c, t, y, x]) / np.sqrt(share)
         squared += seen[c] * seen[c]
     if not share > LEAST_PHI:
         return
@@ -314,11 +337,9 @@ def _cancel_in_frame(psi, phi, weights, stamp, cores, t, y, x, seen):
                         product *= weights[frame, q, p] * weights[frame, q, p]
                     common += product
             for c in range(psi.shape[0]):
-                psi[c, t, v, u] -= seen[c] / np.sqrt(share) * common
-    for v in range(max(0, y - 2 * half), min(n_y, y + 2 * half + 1)):
-        for u in range(max(0, x - 2 * half), min(n_x, x + 2 * half + 1)):
+                taken[c, t, v, u] += seen[c] / np.sqrt(share) * common
             if size > cores[v - y + 2 * half, u - x + 2 * half]:
-                phi[t, v, u] = 0
+                spoilt[t, v, u] = True
 
 
 @numba.njit(**_COMPILE)
@@ -339,15 +360,18 @@ def _largest_of_rows(merit, largest, first_row, last_row):
 
 
 @numba.njit(**_COMPILE)
-def find_targets(psi, phi, weights, stamp, cores, squared, signed, scores, merit, rows, row_first,
-                 sets, bound, paths, seen, values):
+def find_targets(psi, phi, weights, stamp, cores, squared, signed, scores, merit, taken, spoilt,
+                 rows, row_first, sets, bound, paths, seen, values):
     """Find target after target: the best path, its cancellation, the merit function again.
 
-    ``psi``, ``phi`` and ``scores`` are given and are changed; ``merit`` is room to work in. Only
-    what depends on a cancelled pixel is computed again, which leaves the same merit function as
-    computing all of it. The targets are written to ``paths`` int32 (P, T, 2), their statistics to
-    ``seen`` float32 (P, C, T) and their merit to ``values`` (P,). Returns how many there are, the
-    largest merit that is left, and the candidates that were looked at.
+    ``scores`` are changed; ``merit`` is room to work in, and so are ``taken`` (as psi), what was
+    subtracted from psi, and ``spoilt`` bool (T, Y, X), the pixels that are out of use. These two
+    start as zeros and are touched near targets alone. Only what depends on a cancelled pixel is
+    computed again, which leaves the same merit function as computing all of it.
+
+    The targets are written to ``paths`` int32 (P, T, 2), their statistics to ``seen`` float32
+    (P, C, T) and their merit to ``values`` (P,). Returns how many there are, the largest merit
+    that is left, and the candidates that were looked at.
     """
     n_frames, n_y, n_x = merit.shape
     half = stamp.shape[0] // 2
@@ -368,10 +392,11 @@ def find_targets(psi, phi, weights, stamp, cores, squared, signed, scores, merit
         values[found] = value
         for t in range(n_frames):
             x, y = paths[found, t, 0], paths[found, t, 1]
-            _cancel_in_frame(psi, phi, weights, stamp, cores, t, y, x, seen[found, :, t])
+            _cancel_in_frame(psi, taken, spoilt, phi, weights, stamp, cores, t, y, x,
+                             seen[found, :, t])
             boxes[t, 0], boxes[t, 1] = max(0, y - 2 * half), min(n_y, y + 2 * half + 1)
             boxes[t, 2], boxes[t, 3] = max(0, x - 2 * half), min(n_x, x + 2 * half + 1)
-        score_pixels(scores, psi, phi, boxes, squared, signed)
+            _score_again(scores, psi, taken, spoilt, phi, t, boxes[t], squared, signed)
         _spread_boxes(boxes, rows, row_first, sets, n_y, n_x)
         n_candidates += accumulate(merit, scores, rows, row_first, sets, boxes)
         _largest_of_rows(merit, largest, boxes[n_frames - 1, 0], boxes[n_frames - 1, 1])

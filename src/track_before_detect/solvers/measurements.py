@@ -74,10 +74,7 @@ class Measurements:
     def scores(self, merit: Merit) -> NDArray[np.float32]:
         """Return what each pixel adds to the merit function, shape (T, H, W)."""
         scores = np.empty(self.phi.shape, np.float32)
-        _, n_y, n_x = self.phi.shape
-        everything = np.tile([0, n_y, 0, n_x], (self.n_frames, 1))
-        transition_dp.score_pixels(scores, self.psi, self.phi, everything, merit.squared,
-                                   merit.signed)
+        transition_dp.score_pixels(scores, self.psi, self.phi, merit.squared, merit.signed)
         return scores
 
 

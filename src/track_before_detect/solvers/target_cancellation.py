@@ -98,18 +98,17 @@ class TargetSearch:
             V_DT, on the merit.
         """
         data, merit = self._measurements, self._merit
-        psi, phi, scores = data.psi, data.phi, self.scores
-        if np.isfinite(bound):
-            psi, phi, scores = psi.copy(), phi.copy(), scores.copy()
+        scores = self.scores.copy() if np.isfinite(bound) else self.scores
         paths = np.empty((MOST_TARGETS, data.n_frames, 2), np.int32)
-        seen = np.empty((MOST_TARGETS, len(psi), data.n_frames), np.float32)
+        seen = np.empty((MOST_TARGETS, len(data.psi), data.n_frames), np.float32)
         values = np.empty(MOST_TARGETS, np.float32)
         found, left, n_candidates = transition_dp.find_targets(
-            psi, phi, data.weights, data.stamp, self._cores, merit.squared, merit.signed,
-            scores, np.empty_like(phi), sets.rows, sets.row_first, sets.sets,
+            data.psi, data.phi, data.weights, data.stamp, self._cores, merit.squared, merit.signed,
+            scores, np.empty_like(scores), np.zeros(data.psi.shape, np.float32),
+            np.zeros(data.phi.shape, bool), sets.rows, sets.row_first, sets.sets,
             np.float32(bound), paths, seen, values)
         parts = seen[:found].astype(float)
-        statistics = parts[:, 0] + 1j * parts[:, 1] if len(psi) == 2 else parts[:, 0]
+        statistics = parts[:, 0] + 1j * parts[:, 1] if len(data.psi) == 2 else parts[:, 0]
         tracks = [Track(paths[i].copy(), statistics[i], float(values[i])) for i in range(found)]
         return Search(tracks, float(left), int(n_candidates))
 
@@ -136,15 +135,19 @@ class TargetSearch:
         """
         tracks = sorted((track for search in searches for track in search.tracks),
                         key=lambda track: -track.value)
+        if not tracks:
+            return []
+        n_frames, n_y, n_x = self.scores.shape
+        x, y = np.array([track.pixels for track in tracks]).transpose(2, 0, 1)
+        pixels = (np.arange(n_frames) * n_y + y) * n_x + x
+        merits = self.scores.ravel()[pixels]
+        taken = np.zeros(self.scores.shape, bool)
         kept: list[Track] = []
-        taken = np.zeros(self._measurements.phi.shape, bool)
-        for track in tracks:
-            x, y = track.pixels.T
-            t = np.arange(len(x))
-            own = ~taken[t, y, x]
-            if np.mean(~own) > COINCIDENCE:
-                continue
-            if not self.scores[t[own], y[own], x[own]].mean() * len(t) > bound:
+        for track, places, merit in zip(tracks, pixels, merits, strict=True):
+            own = ~taken.ravel()[places]
+            n_own = np.count_nonzero(own)
+            if n_own < (1 - COINCIDENCE) * n_frames or not (
+                    merit[own].sum() * n_frames > bound * n_own):
                 continue
             kept.append(track)
             self._take(taken, track)
