@@ -91,6 +91,20 @@ def test_blurred_targets_are_found_once_each(detector, snr):
 
 
 @pytest.mark.parametrize('detector', DETECTORS)
+def test_noisy_pixels_carry_less_weight(detector):
+    made = simulate('single_target', 5, snr=8.0, fps=1.0)
+    deviation = np.where(np.arange(128) % 7 == 3, 5.0, 1.0)
+    weights = np.broadcast_to(1 / deviation, (1, 128, 128)).astype(np.float32)
+    noise = np.random.default_rng(6).standard_normal(made.frames.shape, np.float32)
+    clean = made.frames - simulate('single_target', 5, snr=0.0, fps=1.0).frames
+    options = DetectorOptions(threshold=11.0, max_speed_px_s=1.0)
+    [found] = detector(options).detect_weighted(clean * weights + noise, made.stamps,
+                                                weights).found
+    assert np.hypot(*(found.positions - made.truth[:, 2:]).T).mean() < 1
+    assert np.median(found.amplitudes) == pytest.approx(8.0, abs=1.5)
+
+
+@pytest.mark.parametrize('detector', DETECTORS)
 def test_masked_pixels_are_not_searched(detector):
     made = simulate('single_target', 5, snr=6.0, fps=1.0)
     made.frames[:, :, 70:] = np.nan

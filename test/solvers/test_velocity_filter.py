@@ -90,8 +90,8 @@ def test_noisy_pixels_carry_less_weight():
     frames = scene([(28.0, 24.0, 0.6, 0.0, 5.0)])
     frames += deviation * np.random.default_rng(5).standard_normal(frames.shape)
     weights = (1 / deviation)[None].astype(np.float32)
-    [found] = detector().detect((frames * weights).astype(np.float32), STAMPS,
-                                weights=weights).found
+    [found] = detector().detect_weighted((frames * weights).astype(np.float32), STAMPS,
+                                         weights).found
     assert found.amplitudes[0] == pytest.approx(5.0, abs=1.5)
     stamp = GaussianPsf(1.0)
     data = measure(frames * weights, stamp, weights)

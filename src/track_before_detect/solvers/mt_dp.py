@@ -19,7 +19,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.transition_sets import directional_sets, TransitionSets
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
@@ -29,6 +28,7 @@ from track_before_detect.solvers.batch_detector import (
     median_interval,
 )
 from track_before_detect.solvers.measurements import cores, measure, Merit
+from track_before_detect.solvers.path_detector import psf_of
 from track_before_detect.solvers.target_cancellation import (
     MOST_TARGETS,
     Search,
@@ -55,6 +55,8 @@ class MtDpDetector(BatchDetector):
         An option asks for a motion other than one of bounded speed.
     """
 
+    takes_any_psf = True
+    weighs_pixels = True
     n_directions = 1
 
     def __init__(self, options: DetectorOptions):
@@ -71,7 +73,7 @@ class MtDpDetector(BatchDetector):
         if options.presence != 'full':
             raise ParameterError(f'{name} follows a target through the whole batch, so presence '
                                  f'must be full, got {options.presence!r}')
-        self.psf = GaussianPsf(options.psf_sigma_px)
+        self.psf = psf_of(options)
         self.merit = Merit(options.amplitude_model == 'fluctuating',
                            options.amplitudes == 'signed')
         self._complex = options.amplitudes == 'complex'
@@ -116,27 +118,32 @@ class MtDpDetector(BatchDetector):
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories; frames may be complex where the amplitudes are."""
+        return self.detect_weighted(frames, stamps, None, progress)
+
+    def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
+                        progress: Progress | None = None) -> BatchResult:
+        """Find the trajectories where the noise differs between pixels."""
         if np.iscomplexobj(frames) != self._complex:
             kind, wanted = (('complex', 'complex') if np.iscomplexobj(frames) else
                             ('real', 'non-negative or signed'))
             raise DataError(f'frames of {kind} numbers need amplitudes {wanted}, '
                             f'got {self.options.amplitudes!r}')
         threshold = self.threshold(stamps, frames.shape[1:], progress)
-        search = TargetSearch(measure(frames, self.psf), self._cores, self.merit)
+        search = TargetSearch(measure(frames, self.psf, weights), self._cores, self.merit)
         return self.solve(search, self.transition_sets(stamps), threshold, len(stamps))
 
     def solve(self, search: TargetSearch, directions: Sequence[TransitionSets],
               threshold: float, n_frames: int) -> BatchResult:
         """Find the targets of a batch."""
         done = search.run(directions[0], self.merit.bound(threshold, n_frames))
-        return self._result([done], done.tracks, threshold, n_frames)
+        return self._result(search, [done], done.tracks, threshold)
 
-    def _result(self, searches: Sequence[Search], tracks: Sequence[Track], threshold: float,
-                n_frames: int) -> BatchResult:
+    def _result(self, search: TargetSearch, searches: Sequence[Search], tracks: Sequence[Track],
+                threshold: float) -> BatchResult:
         """Return tracks as trajectories, best first, with the first and last largest merit."""
-        statistic = self.merit.statistic
+        statistic, n_frames = self.merit.statistic, len(search.scores)
         found = [FoundTrajectory(
-            track.pixels.astype(float), track.seen, statistic(track.value, n_frames),
+            track.pixels.astype(float), search.amplitudes(track), statistic(track.value, n_frames),
             float(np.mean(np.abs(track.seen) if self._complex else track.seen)))
             for track in sorted(tracks, key=lambda track: -track.value)]
         left = max(search.largest_left for search in searches)

@@ -37,4 +37,4 @@ class PcDpDetector(MtDpDetector):
         """Find the targets of a batch."""
         bound = self.merit.bound(threshold, n_frames)
         searches = search.run_parallel(directions, bound, usable_cores())
-        return self._result(searches, search.fuse(searches, bound), threshold, n_frames)
+        return self._result(search, searches, search.fuse(searches, bound), threshold)

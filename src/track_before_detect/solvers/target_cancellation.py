@@ -153,6 +153,12 @@ class TargetSearch:
             self._take(taken, track)
         return kept
 
+    def amplitudes(self, track: Track) -> NDArray:
+        """Return the amplitudes (T,) of the unit-norm PSF, 0 where nothing was seen."""
+        x, y = track.pixels.T
+        phi = self._measurements.phi[np.arange(len(x)), y, x]
+        return np.where(track.seen != 0, track.seen / np.sqrt(np.maximum(phi, 1e-9)), 0)
+
     def _take(self, taken, track):
         """Mark the pixels that a track spoils for others."""
         half = self._cores.shape[0] // 2

@@ -23,7 +23,6 @@ from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.kernels.amplitude_codes import CONSTANT, SIGNED_CONSTANT
 from track_before_detect.kernels.climb import climb
 from track_before_detect.kernels.stamps import accumulate, render, statistic_and_slope
-from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.velocity_grid import velocity_grid, VelocityGrid
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
@@ -34,6 +33,7 @@ from track_before_detect.solvers.batch_detector import (
 )
 from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.measurements import measure
+from track_before_detect.solvers.path_detector import psf_of
 from track_before_detect.solvers.shift_and_stack import VelocityStack
 from track_before_detect.solvers.threshold import NoiseStudy
 from track_before_detect.types import Progress, Step
@@ -94,6 +94,9 @@ class VelocityFilterDetector(BatchDetector):
         An option asks for complex amplitudes or a motion other than a straight line.
     """
 
+    takes_any_psf = True
+    weighs_pixels = True
+
     def __init__(self, options: DetectorOptions):
         super().__init__(options)
         if options.motion_model not in MOTIONS:
@@ -108,7 +111,7 @@ class VelocityFilterDetector(BatchDetector):
             raise ParameterError(
                 'velocity_filter adds up all frames in which a line is inside, so presence must '
                 f'be full, got {options.presence!r}')
-        self.psf = GaussianPsf(options.psf_sigma_px)
+        self.psf = psf_of(options)
         self._signed = options.amplitudes == 'signed'
         self._warned = False
 
@@ -155,9 +158,14 @@ class VelocityFilterDetector(BatchDetector):
             f'{grid.n_velocities} {self.psf.key} {self._signed}',
             lambda size: float(size[0] * size[1]), searcher)
 
-    def detect(self, frames: NDArray, stamps: NDArray, progress: Progress | None = None,
-               weights: NDArray | None = None) -> BatchResult:
+    def detect(self, frames: NDArray, stamps: NDArray,
+               progress: Progress | None = None) -> BatchResult:
         """Find the trajectories."""
+        return self.detect_weighted(frames, stamps, None, progress)
+
+    def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
+                        progress: Progress | None = None) -> BatchResult:
+        """Find the trajectories where the noise differs between pixels."""
         if np.iscomplexobj(frames):
             raise DataError('velocity_filter adds up real numbers, got complex frames')
         shape = frames.shape[1:]
