@@ -67,9 +67,11 @@ class DetectorOptions:
         'Doppler bin within 10).', kind='number', unit='px/s^2', minimum=0.0, optional=True)
     motion_model: str = _option(
         'nearly_constant_velocity', 'Which motions are searched; range_doppler takes rows for '
-        'range bins and columns for Doppler bins, which say how fast the range changes.',
+        'range bins and columns for Doppler bins, which say how fast the range changes, '
+        'range_bearing columns for bearing, of which the last lies beside the first.',
         kind='text', choices=(
-            'nearly_constant_velocity', 'constant_velocity', 'static', 'range_doppler'))
+            'nearly_constant_velocity', 'constant_velocity', 'static', 'range_doppler',
+            'range_bearing'))
     range_bins_per_doppler_bin: float | None = _option(
         None, 'Of motion_model range_doppler, which needs it: by how many range bins a second a '
         'target moves on for each Doppler bin (metres per second of a Doppler bin over metres of '

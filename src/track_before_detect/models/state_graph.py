@@ -86,12 +86,16 @@ class StateGraph:
         columns = np.arange(self.n_velocities) - self.row_first[rows] + self.row_x[rows]
         return np.stack([columns, rows], axis=1)
 
-    def effective_area(self, shape: tuple[int, int]) -> float:
-        """Return the pixels of a frame (H, W) where a straight path can start and stay inside."""
+    def effective_area(self, shape: tuple[int, int], around: bool = False) -> float:
+        """Return the pixels of a frame (H, W) where a straight path can start and stay inside.
+
+        With ``around`` the columns go round, so that no path leaves at either side.
+        """
         if self.coupling is not None:
             room = shape[0] - self.coupling.travel(shape[1])
             return float(np.sum(np.maximum(room, 0.5)))
         extent = self.step_px * np.abs(self.end_moves.sum(axis=0))
+        extent[:, 0] *= not around
         room = np.maximum(np.array([shape[1], shape[0]]) - extent, 0.5)
         return float(np.mean(room[:, 0] * room[:, 1]))
 

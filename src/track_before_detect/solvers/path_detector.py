@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+import functools
 import logging
 
 import numpy as np
@@ -30,6 +31,7 @@ from track_before_detect.solvers.partial_search import PartialSearch
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
 from track_before_detect.solvers.threshold import NoiseStudy
+from track_before_detect.solvers.wrap_around import once_each, strip, strip_margin
 from track_before_detect.types import Progress
 
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
@@ -179,17 +181,26 @@ class PathDetector(BatchDetector):
         """Return how to find the largest statistic of any path in noise."""
         graph = self.graph(stamps, shape)
 
+        margin = self._margin(graph)
+
         def searcher(crop):
-            search = self._new_search(graph, crop, 1)
+            search = self._new_search(graph, (crop[0], crop[1] + 2 * margin), 1)
 
             def largest(generator):
                 noise = generator.standard_normal((graph.n_frames, *crop), dtype=np.float32)
-                return self.statistic(search.best_value(noise), graph.n_frames)
+                return self.statistic(search.best_value(strip(noise, margin)), graph.n_frames)
 
             return largest
 
-        return NoiseStudy(f'{graph.fingerprint()} {self.psf.key} {self.model} {self.presence}',
-                          graph.effective_area, searcher, graph.coupling is not None)
+        return NoiseStudy(
+            f'{graph.fingerprint()} {self.psf.key} {self.model} {self.presence} {margin > 0}',
+            functools.partial(graph.effective_area, around=margin > 0), searcher,
+            graph.coupling is not None)
+
+    def _margin(self, graph):
+        """Return the columns that frames are continued by beyond a seam, 0 without one."""
+        wraps = self.options.motion_model == 'range_bearing'
+        return strip_margin(graph, self.psf) if wraps else 0
 
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:
@@ -202,18 +213,24 @@ class PathDetector(BatchDetector):
         shape = frames.shape[1:]
         graph = self.graph(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
-        frames = np.ascontiguousarray(frames, np.float32)
+        margin = self._margin(graph)
+        frames = np.ascontiguousarray(strip(frames, margin), np.float32)
+        if weights is not None:
+            weights = strip(np.asarray(weights), margin)
         valid = np.isfinite(frames)
         if not valid.all():
             frames = np.where(valid, frames, np.float32(0))
             weights = valid.astype(np.float32) if weights is None else weights * valid
-        search = self._path_search(graph, shape, weights)
+        search = self._path_search(graph, frames.shape[1:], weights)
         if weights is None:
             weights = np.zeros((0, 0, 0), np.float32)
         weights = np.ascontiguousarray(weights, np.float32)
         paths = PathSet(frames, weights, self.psf, self._weight(threshold, len(frames)),
                         self.model)
-        return self.solve(Task(graph, search, paths, regular_stamps(stamps), weights))
+        result = self.solve(Task(graph, search, paths, regular_stamps(stamps), weights))
+        if margin:
+            result = replace(result, found=once_each(result.found, margin, shape[1]))
+        return result
 
     def statistic(self, value: float, n_frames: int) -> float:
         """Return the statistic of a path that is compared with the threshold.
@@ -294,3 +311,7 @@ def _check_motion(options):
         raise ParameterError(
             'range_bins_per_doppler_bin needs motion_model range_doppler, got '
             f'{options.motion_model}')
+    if options.motion_model == 'range_bearing' and options.registration != 'none':
+        raise ParameterError(
+            'registration must be none with motion_model range_bearing, whose columns go round, '
+            f'got {options.registration}')

@@ -105,15 +105,22 @@ class TrackingPipeline:
             prepared.frames, prepared.stamps, prepared.weights, progress)
         weighted = prepared.weights is not None and self._detector.weighs_pixels
         unit = np.array(prepared.unit) if weighted else prepared.noise_level
-        trajectories = [_in_original_frames(found, prepared, unit) for found in result.found]
+        period = self._period(prepared)
+        trajectories = [_in_original_frames(found, prepared, unit, period)
+                        for found in result.found]
         trajectories = [trajectory for trajectory in trajectories
                         if np.isfinite(trajectory.positions).any()]
-        return DetectionResult(self._stitcher.link(trajectories), result.threshold,
+        return DetectionResult(self._stitcher.link(trajectories, period), result.threshold,
                                result.status, result.history, result.gap)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
         self._stitcher.reset()
+
+    def _period(self, prepared):
+        """Return the columns after which frames begin again, None where they end."""
+        wraps = self._options.motion_model == 'range_bearing'
+        return prepared.frames.shape[2] if wraps else None
 
     def _check_scale(self, frame):
         """Say once when frames taken to have a noise of one cannot have."""
@@ -166,10 +173,11 @@ def _check(batch):
 
 
 def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch,
-                        unit: NDArray) -> Trajectory:
+                        unit: NDArray, period: int | None) -> Trajectory:
     """Return a trajectory in the pixels of the frames as they came, and in their units.
 
-    ``unit`` (T, H, W), or of a shape that broadcasts to it, is the unit of the amplitudes.
+    ``unit`` (T, H, W), or of a shape that broadcasts to it, is the unit of the amplitudes; the
+    columns begin again after ``period``, if not None.
     """
     positions = geometry.apply(prepared.maps, found.positions)
     n_frames, height, width = prepared.frames.shape
@@ -180,7 +188,10 @@ def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch,
     amplitudes = found.amplitudes * np.nan_to_num(level[np.arange(n_frames), y, x], nan=0.0)
     velocity = np.where(present[:, None], np.zeros(2), np.nan)
     if present.sum() > 1:
-        velocity[present] = np.gradient(positions[present], prepared.stamps[present], axis=0)
+        moved = positions[present]
+        if period is not None:
+            moved[:, 0] = np.unwrap(moved[:, 0], period=period)
+        velocity[present] = np.gradient(moved, prepared.stamps[present], axis=0)
     # A path on the registered plane may leave the view of a frame; it is absent from that frame.
     inside = (positions >= -0.5) & (positions <= [width - 0.5, height - 0.5])
     outside = ~inside.all(axis=1)

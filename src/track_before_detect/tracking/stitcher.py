@@ -48,12 +48,21 @@ class Stitcher:
         """Forget all identities; numbering goes on, so that no id is used twice."""
         self._known = []
 
-    def link(self, trajectories: list[Trajectory]) -> list[Trajectory]:
-        """Return the trajectories of one batch with their ids set."""
+    def link(self, trajectories: list[Trajectory],
+             period_px: float | None = None) -> list[Trajectory]:
+        """Return the trajectories of one batch with their ids set.
+
+        Parameters
+        ----------
+        trajectories : list of Trajectory
+        period_px : float, optional
+            Columns after which the frames begin again, where they go round.
+        """
         excess = np.full((len(self._known), len(trajectories)), np.inf)
         for i, known in enumerate(self._known):
             for j, trajectory in enumerate(trajectories):
-                excess[i, j] = self._distance_over_gate(known.trajectory, trajectory)
+                excess[i, j] = self._distance_over_gate(
+                    known.trajectory, trajectory, period_px)
         cost = np.minimum(excess, 2.0)
         ids: dict[int, int] = {}
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
@@ -71,11 +80,12 @@ class Stitcher:
             if known.trajectory.id not in seen and known.batches_ago + 1 < self._memory]
         return named
 
-    def _distance_over_gate(self, older, newer):
+    def _distance_over_gate(self, older, newer, period):
         common, in_older, in_newer = np.intersect1d(
             older.frame_indices, newer.frame_indices, return_indices=True)
         if len(common):
-            distance = _distances(older.positions[in_older], newer.positions[in_newer])
+            distance = _distances(
+                older.positions[in_older], newer.positions[in_newer], period)
             if np.isfinite(distance).any():
                 return float(np.nanmean(distance)) / self._gate
         present_older = np.flatnonzero(np.isfinite(older.positions[:, 0]))
@@ -86,9 +96,12 @@ class Stitcher:
         elapsed = newer.stamps[first] - older.stamps[last]
         frames = max(1, int(newer.frame_indices[first] - older.frame_indices[last]))
         expected = older.positions[last] + older.velocity[last] * elapsed
-        distance = _distances(expected, newer.positions[first])
+        distance = _distances(expected, newer.positions[first], period)
         return float(distance) / (self._gate + self._slack * frames)
 
 
-def _distances(a: NDArray, b: NDArray) -> NDArray:
-    return np.hypot(a[..., 0] - b[..., 0], a[..., 1] - b[..., 1])
+def _distances(a: NDArray, b: NDArray, period: float | None) -> NDArray:
+    across = a[..., 0] - b[..., 0]
+    if period is not None:
+        across = (across + 0.5 * period) % period - 0.5 * period
+    return np.hypot(across, a[..., 1] - b[..., 1])

@@ -1,0 +1,52 @@
+"""Frames whose columns go round: bearing, of which the last column lies beside the first.
+
+The search, the fit and the refinement know plain frames alone, so they are given a strip that goes
+on beyond the seam at both sides, by more than a target travels. A target near the seam is then
+there twice, and one copy of it may run out of the strip; the copy that counts is the one that is
+inside the frame in the middle of the batch, which is far from both ends of the strip all the time.
+
+Motion is that of the plane of bearing and range: nearly constant velocity in bins per second, with
+the acceleration bound in bins. A straight course past the sensor is a curve in this plane; it is
+followed where that bound allows its apparent acceleration, speed^2 / range in range bins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import dataclasses
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.models.psf import Psf
+from track_before_detect.models.state_graph import StateGraph
+from track_before_detect.solvers.batch_detector import FoundTrajectory
+
+
+def strip_margin(graph: StateGraph, psf: Psf) -> int:
+    """Return the columns that are repeated at each side."""
+    travel = graph.step_px * np.abs(graph.end_moves[..., 0]).max(axis=1).sum()
+    return math.ceil(travel) + 2 * psf.half_width
+
+
+def strip(frames: NDArray, margin: int) -> NDArray:
+    """Return frames (..., W) that go on for ``margin`` columns beyond the seam at both sides."""
+    if margin == 0:
+        return frames
+    width = [(0, 0)] * (frames.ndim - 1)
+    return np.pad(frames, [*width, (margin, margin)], mode='wrap')
+
+
+def once_each(found: Sequence[FoundTrajectory], margin: int, width: int) -> list[FoundTrajectory]:
+    """Return each target of a strip once, in columns from -0.5 to ``width`` - 0.5."""
+    kept = []
+    for trajectory in found:
+        x = trajectory.positions[:, 0] - margin
+        present = np.flatnonzero(np.isfinite(x))
+        if not -0.5 <= x[present[len(present) // 2]] < width - 0.5:
+            continue
+        positions = trajectory.positions.copy()
+        positions[:, 0] = (x + 0.5) % width - 0.5
+        kept.append(dataclasses.replace(trajectory, positions=positions))
+    return kept
