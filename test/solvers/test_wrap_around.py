@@ -96,3 +96,13 @@ def test_registration_is_refused():
     with pytest.raises(tbd.ParameterError, match='registration must be none'):
         tbd.detect(np.zeros((4, 16, 16)), motion_model='range_bearing', threshold=8,
                    registration='translation')
+
+
+def test_masked_pixels_and_variance_go_round_with_the_columns():
+    course = past_the_sensor(bearing=1.0)
+    frames = maps([course], 8.0, seed=3)
+    frames[4:6, :, -5:] = np.nan
+    variance = np.full((HEIGHT, WIDTH), 1.0)
+    [trajectory] = tbd.detect(frames, motion_model='range_bearing', threshold=8,
+                              variance=variance).trajectories
+    assert apart(trajectory.positions, course).max() < 1.0
