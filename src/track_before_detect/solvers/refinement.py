@@ -19,6 +19,8 @@ from track_before_detect.models.state_graph import StateGraph
 from track_before_detect.solvers.motions import motions_of
 
 MOST_STEPS = 8
+# Fall of F_t for which a path is moved: a tenth of the error that noise gives its position.
+LEAST_GAIN = 0.005
 
 
 class Refiner:
@@ -63,7 +65,7 @@ class Refiner:
             Place on the continuation.
         """
         squared = float(self.gains(frames, positions).sum())
-        best = (self.lowers(squared, cost, threshold, t_convex), positions, cost)
+        best = (self.lowers(squared, cost, threshold, t_convex) + LEAST_GAIN, positions, cost)
         for start, basis, family_cost in self._motions.candidates(positions, cost):
             moved = np.array(start)
             value = climb(moved, basis, self._optics, frames, self._weights, self._model.code,

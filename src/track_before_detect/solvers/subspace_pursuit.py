@@ -29,7 +29,7 @@ from track_before_detect.solvers.refinement import Refiner
 from track_before_detect.types import Step
 
 # Paths added before the residual is searched again; each is tested on the residual it meets.
-MOST_NEW_PATHS = 64
+MOST_NEW_PATHS = 256
 # No scene that can be told apart holds more; frames whose noise is far above one would.
 MOST_PATHS = 500
 # Two paths that share this much of their energy in the mean frame may be one target.
@@ -330,9 +330,10 @@ class _Stage:
     def _remove_if_better(self, path):
         """Remove a path, or merge it into its nearest neighbour, when that lowers F_t."""
         paths = self._paths
-        if self._t == 1.0:
+        members = paths.neighbours(path)
+        # A path that overlaps no other pays while it passes its weight, which pruning asks.
+        if self._t == 1.0 or len(members) == 1:
             return False
-        members = self._paths.neighbours(path)
         before = paths.objective_of(members, self._t)
         others = members[members != path]
         after, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
