@@ -271,6 +271,55 @@ def test_whole_numbers_of_any_type_are_read():
     assert one.objective == pytest.approx(other.objective, rel=1e-12)
 
 
+@pytest.mark.parametrize('method', ['newton', 'descent', 'admm'])
+@pytest.mark.parametrize('amplitudes', ['non-negative', 'signed', 'complex'])
+@pytest.mark.parametrize('of_each_path', [False, True])
+def test_any_positive_weights_give_a_true_optimum_by_every_method(method, amplitudes,
+                                                                  of_each_path):
+    frames, paths = crowded_scene(15, amplitudes, n_paths=6)
+    shape = (len(paths), 5) if of_each_path else (5,)
+    weights = 10**np.random.default_rng(2).uniform(-0.7, 0.7, shape)
+    fit = tbd.fit_paths(frames, paths, psf=PSF, lam=4.0, amplitudes=amplitudes, tol=1e-10,
+                        weights=weights, method=method)
+    assert fit.status == 'converged'
+    assert fit.amplitudes.any()
+    every = np.broadcast_to(weights, (len(paths), 5))
+    residual, seen = residual_statistics(frames, design(paths, frames.shape[1:]), fit.amplitudes)
+    if amplitudes == 'non-negative':
+        assert (fit.amplitudes >= 0).all()
+        seen = np.maximum(seen, 0)
+    scale = min(1.0, 4.0 / np.linalg.norm(seen / every, axis=1).max())
+    energy = np.linalg.norm(residual)**2
+    primal = 0.5 * energy + 4.0 * np.linalg.norm(every * fit.amplitudes, axis=1).sum()
+    dual = scale * np.vdot(frames, residual).real - 0.5 * scale**2 * energy
+    assert fit.objective == pytest.approx(primal, rel=1e-12)
+    assert primal - dual <= 2e-10 * primal
+
+
+@pytest.mark.parametrize('method', ['newton', 'descent', 'admm'])
+def test_equal_weights_are_a_larger_lambda(method):
+    frames, paths = crowded_scene(16, 'non-negative', n_paths=6)
+    fits = [tbd.fit_paths(frames, paths, psf=PSF, tol=1e-11, method=method, **how) for how in (
+        {'lam': 5.0}, {'lam': 1.0, 'weights': np.full(5, 5.0)})]
+    assert fits[0].objective == pytest.approx(fits[1].objective, rel=1e-10)
+    if method == 'newton':
+        assert np.allclose(fits[0].amplitudes, fits[1].amplitudes, atol=1e-4)
+
+
+def test_a_lone_path_solves_the_line_search_of_its_weights():
+    frames, paths = crowded_scene(17, 'non-negative')
+    _, seen = residual_statistics(frames, design(paths[:1], frames.shape[1:]), np.zeros((1, 5)))
+    weights = np.array([0.5, 1.0, 2.0, 3.0, 0.3])
+    fit = tbd.fit_paths(frames, paths[:1], psf=PSF, lam=2.0, weights=weights, tol=1e-13)
+    # Bisection on the norm of W x.
+    low, high = 1e-9, 1e3
+    for _ in range(200):
+        middle = 0.5 * (low + high)
+        x = np.maximum(seen[0], 0) / (1 + 2.0 * weights**2 / middle)
+        low, high = (middle, high) if np.linalg.norm(weights * x) > middle else (low, middle)
+    assert np.allclose(fit.amplitudes[0], x, atol=1e-5)
+
+
 @pytest.mark.parametrize('change, message', [
     ({'lam': 0}, 'lam must be a number above 0, got 0'),
     ({'lam': -1.0}, 'lam must be'),
@@ -297,6 +346,10 @@ def test_whole_numbers_of_any_type_are_read():
     ({'psf': np.zeros((3, 3))}, 'psf must be finite and not all zero'),
     ({'psf': np.full((3, 3), np.nan)}, 'psf must be finite'),
     ({'psf': 'gaussian'}, 'psf must be a GaussianPsf or an array'),
+    ({'method': 'simplex'}, 'method must be one of newton, descent, admm'),
+    ({'weights': np.ones(4)}, r'weights must be numbers of shape \(5,\) or \(3, 5\)'),
+    ({'weights': np.zeros(5)}, 'weights must be finite and above 0, got 0'),
+    ({'weights': np.full((3, 5), np.nan)}, 'weights must be finite and above 0'),
 ])
 def test_bad_input_is_refused_in_one_sentence(change, message):
     arguments = {'frames': np.zeros((5, 9, 24)), 'paths': np.ones((3, 5, 2)), 'psf': PSF,

@@ -95,6 +95,15 @@ def test_duality_gap_bounds_what_a_tighter_solution_gains(name):
     assert tight.gap <= 1e-3 * tight_value
 
 
+@pytest.mark.parametrize('seed', range(6))
+def test_a_convex_solution_of_close_pairs_is_certified_to_seven_digits(seed):
+    frames = scene('close', seed) + scene('bright', seed)
+    result, search = solve(frames, (1.0,))
+    assert result.status == 'converged'
+    assert 0 <= result.gap <= 1e-6 * result.history[-1].objective
+    assert np.sqrt(search.best_value(result.paths.residual)) <= 6.5 * (1 + 1e-5)
+
+
 def test_duality_gap_of_nothing_is_zero_when_nothing_passes():
     frames = scene('empty', 1)
     paths = PathSet(frames, NO_MASK, GaussianPsf(1.0), 50.0, MODEL)

@@ -254,6 +254,22 @@ def price(chosen, cells, seen, non_negative, statistics):
     return largest
 
 
+@numba.njit(**_FAST)
+def price_weighted(chosen, cells, seen, weights, non_negative, statistics):
+    """Do what ``price`` does with ``seen`` over the weight (P, T) of each path in each frame."""
+    largest = 0.0
+    for p in chosen:
+        total = 0.0
+        for d in range(seen.shape[0]):
+            for k in range(cells.shape[1]):
+                value = seen[d, cells[p, k]] / weights[p, k]
+                if value > 0.0 or not non_negative:
+                    total += value * value
+        statistics[p] = math.sqrt(total)
+        largest = max(largest, statistics[p])
+    return largest
+
+
 @numba.njit(**_COMPILE)
 def cells_of(chosen, cells, n_cells):
     """Return the cells that the chosen paths use, in order."""

@@ -306,3 +306,18 @@ def solve(amplitudes, matched, gram, slack, weight, non_negative, energy, gap_wa
         if newton_gap <= gap_wanted:
             return newton_gap, rounds + 1
     return gap, most_rounds + 1
+
+
+@numba.njit(**_COMPILE)
+def descend(amplitudes, matched, gram, slack, weight, non_negative, energy, gap_wanted,
+            most_rounds):
+    """Do what ``solve`` does by sweeps alone (Algorithm 3 with Algorithms 1 and 2)."""
+    row = np.empty((amplitudes.shape[1], amplitudes.shape[2]))
+    _slack(amplitudes, matched, gram, slack)
+    gap = math.inf
+    for rounds in range(most_rounds):
+        _sweep(amplitudes, slack, gram, weight, non_negative, row)
+        _, gap, _ = value_and_gap(amplitudes, matched, slack, weight, non_negative, energy)
+        if gap <= gap_wanted:
+            return gap, rounds + 1
+    return gap, most_rounds + 1

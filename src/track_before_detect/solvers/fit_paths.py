@@ -14,13 +14,19 @@ from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.kernels import cells as cell_kernels
 from track_before_detect.kernels import group_lasso
 from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.solvers import admm
 from track_before_detect.types import Step
 
 NUMBER = (int, float, np.integer, np.floating)
 AMPLITUDES = ('non-negative', 'signed', 'complex')
 
 MOST_ROUNDS = 200
-MOST_INNER_ROUNDS = 200
+# How the working set is solved, and in how many rounds at most.
+METHODS = {
+    'newton': (group_lasso.solve, 200),
+    'descent': (group_lasso.descend, 50000),
+    'admm': (admm.solve, 20000),
+}
 # Slots of the table that finds equal positions, as a power of two; sparse tables are fast.
 LEAST_TABLE_BITS = 18
 # New members of the working set in one round at least, and those looked at to choose them.
@@ -70,15 +76,16 @@ class FittedPaths:
 
 
 def fit_paths(frames: NDArray, paths: NDArray, *, psf: NDArray | GaussianPsf, lam: float,
-              t: float = 1.0, amplitudes: str = 'non-negative',
-              tol: float = 1e-8) -> FittedPaths:
+              t: float = 1.0, amplitudes: str = 'non-negative', tol: float = 1e-8,
+              weights: NDArray | None = None, method: str = 'newton') -> FittedPaths:
     """Fit the amplitudes of given paths jointly.
 
     Minimises, over the amplitudes x of the P paths,
 
-        F_t(x) = 1/2 |y - A x|^2 + t lam sum_p |x_p| + 1/2 (1 - t)^2 lam^2 n(x)
+        F_t(x) = 1/2 |y - A x|^2 + t lam sum_p |W_p x_p| + 1/2 (1 - t)^2 lam^2 n(x)
 
-    with one norm |x_p| over the frames of each path and n(x) the number of paths with an
+    with one norm over the frames of each path, W_p a positive diagonal matrix, the identity unless
+    ``weights`` are given, and n(x) the number of paths with an
     amplitude other than zero. At t = 1 this is a group lasso, solved to a duality gap over all
     paths of at most ``tol`` times the objective. At t < 1 the last term makes the objective
     combinatorial; the paths are then taken as the set that is wanted: the convex part alone is
@@ -105,6 +112,15 @@ def fit_paths(frames: NDArray, paths: NDArray, *, psf: NDArray | GaussianPsf, la
         ``"non-negative"``, ``"signed"`` or ``"complex"``.
     tol : float
         Duality gap at which to stop, over the objective.
+    weights : array, shape (T,) or (P, T), optional
+        Diagonal of W: a path has a norm above zero only if the norm of its matched filter
+        statistic, over the weight of each frame, passes t lam.
+    method : str
+        How the paths of the working set are solved: ``"newton"``, sweeps of path-wise descent and
+        Newton steps; ``"descent"``, sweeps alone (Patent, Algorithm 3), with the closed form of
+        Algorithm 2 where weights are equal and the line search of Algorithm 1 where not;
+        ``"admm"``, alternating directions. All reach the same optimum; the last two take far
+        longer where paths are nearly alike.
 
     Returns
     -------
@@ -119,11 +135,27 @@ def fit_paths(frames: NDArray, paths: NDArray, *, psf: NDArray | GaussianPsf, la
     data, valid = _checked_frames(frames, amplitudes)
     paths = _checked_paths(paths, data.shape[1:])
     lam, t, tol = _checked_numbers(lam, t, tol)
+    if method not in METHODS:
+        raise ParameterError(f'method must be one of {", ".join(METHODS)}, got {method!r}')
     problem = _Problem(data, valid, paths, psf)
+    if weights is not None:
+        problem.weights = _checked_weights(weights, paths.shape[:2])
     non_negative = amplitudes == 'non-negative'
     if t == 0.0:
         return _least_squares(problem, lam, non_negative)
-    return _WorkingSet(problem, lam, t, non_negative).run(tol)
+    return _WorkingSet(problem, lam, t, non_negative).run(tol, method)
+
+
+def _checked_weights(weights, shape):
+    array = np.asarray(weights)
+    if array.dtype.kind not in 'biuf' or array.shape not in (shape, shape[1:]):
+        raise DataError(f'weights must be numbers of shape ({shape[1]},) or {shape}, got '
+                        f'{array.dtype} of shape {array.shape}')
+    array = np.ascontiguousarray(np.broadcast_to(array, shape), np.float64)
+    if not (np.isfinite(array).all() and (array > 0).all()):
+        raise DataError('weights must be finite and above 0, got '
+                        f'{array[~(np.isfinite(array) & (array > 0))][0]:g}')
+    return array
 
 
 def _checked_frames(frames, amplitudes):
@@ -206,6 +238,7 @@ class _Problem:
     def __init__(self, data, valid, paths, psf):
         self.data = data
         self.energy = 0.5 * float(np.vdot(data, data))
+        self.weights = None
         height, width = data.shape[2:]
         if not isinstance(psf, GaussianPsf):
             psf = _checked_psf(psf)
@@ -231,6 +264,12 @@ class _Problem:
     def seen(self, residual, chosen, out):
         cell_kernels.correlate_cells(chosen, self.stamps, self.starts, self.cell_place, residual,
                                     out)
+
+    def price(self, chosen, seen, non_negative, statistics):
+        if self.weights is None:
+            return cell_kernels.price(chosen, self.cells, seen, non_negative, statistics)
+        return cell_kernels.price_weighted(chosen, self.cells, seen, self.weights, non_negative,
+                                           statistics)
 
     def places(self, members):
         return self.cell_place[self.cells[members]].astype(np.int64)
@@ -272,7 +311,7 @@ class _WorkingSet:
         self._seen = np.zeros((n_parts, n_cells))
         self._statistics = np.zeros(problem.n_paths)
 
-    def run(self, tol):
+    def run(self, tol, method='newton'):
         """Solve the convex part to a relative duality gap and return the fit."""
         problem, weight = self._problem, self._weight
         history = []
@@ -281,7 +320,7 @@ class _WorkingSet:
         before, grew = math.inf, True
         for round_ in range(MOST_ROUNDS):
             if round_:
-                residual = problem.residual(self._members, self._amplitudes)
+                residual = problem.residual(self._members, self._unweighted())
             norms = np.sqrt(np.einsum('pdt,pdt->p', self._amplitudes, self._amplitudes))
             convex, gap, largest = self._price(residual, norms)
             if round_ == 0:
@@ -312,25 +351,33 @@ class _WorkingSet:
             wanted = max(INNER_SHARE * gap, FINAL_SHARE * tol * convex) if grew else 0.1 * gap
             matched = np.ascontiguousarray(
                 data_seen[:, problem.cells[self._members]].transpose(1, 0, 2))
-            self._solve(matched, wanted)
-        return FittedPaths(_as_given(problem, self._members, self._amplitudes), objective,
+            if problem.weights is not None:
+                matched /= problem.weights[self._members][:, None]
+            self._solve(matched, wanted, method)
+        return FittedPaths(_as_given(problem, self._members, self._unweighted()), objective,
                            gap if self._t == 1.0 else float('nan'), status, violation, history)
 
-    def _solve(self, matched, wanted):
+    def _unweighted(self):
+        if self._problem.weights is None:
+            return self._amplitudes
+        return self._amplitudes / self._problem.weights[self._members][:, None]
+
+    def _solve(self, matched, wanted, method):
         """Solve over the members to a duality gap; paths that never meet are solved apart."""
         if len(matched) <= SOLVED_AT_ONCE:
-            self._solve_members(slice(None), matched, self._gram, wanted)
+            self._solve_members(slice(None), matched, self._gram, wanted, method)
             return
         n_clusters, labels = connected_components(self._gram.any(axis=2), directed=False)
         for cluster in range(n_clusters):
             rows = np.flatnonzero(labels == cluster)
             self._solve_members(rows, matched[rows], self._gram[np.ix_(rows, rows)],
-                                wanted / n_clusters)
+                                wanted / n_clusters, method)
 
-    def _solve_members(self, rows, matched, gram, wanted):
+    def _solve_members(self, rows, matched, gram, wanted, method):
         amplitudes = self._amplitudes[rows]
-        group_lasso.solve(amplitudes, matched, gram, np.empty_like(matched), self._weight,
-                          self._non_negative, self._problem.energy, wanted, MOST_INNER_ROUNDS)
+        solve, most_rounds = METHODS[method]
+        solve(amplitudes, matched, gram, np.empty_like(matched), self._weight,
+              self._non_negative, self._problem.energy, wanted, most_rounds)
         self._amplitudes[rows] = amplitudes
 
     @property
@@ -341,8 +388,7 @@ class _WorkingSet:
         """Return the convex objective, its gap and the largest statistic of the paths priced."""
         problem, weight = self._problem, self._weight
         problem.seen(residual, self._cells, self._seen)
-        largest = cell_kernels.price(self._near, problem.cells, self._seen, self._non_negative,
-                                    self._statistics)
+        largest = problem.price(self._near, self._seen, self._non_negative, self._statistics)
         energy = float(np.vdot(residual, residual))
         convex = 0.5 * energy + weight * float(norms.sum())
         dual = group_lasso.dual_value(float(np.vdot(problem.data, residual)), energy, largest,
@@ -390,6 +436,11 @@ class _WorkingSet:
         self._members = np.concatenate([self._members, new])
         cell_kernels.relate(problem.places(self._members), n_old, problem.stamps, problem.origins,
                            gram)
+        if problem.weights is not None:
+            # Columns over their weights, whose amplitudes are W x, have the one weight t lam.
+            weights = problem.weights[self._members]
+            gram[n_old:] /= weights[n_old:, None] * weights
+            gram[:n_old, n_old:] /= weights[:n_old, None] * weights[n_old:]
         self._gram = gram
         self._amplitudes = np.concatenate(
             [self._amplitudes, np.zeros((len(new), *self._amplitudes.shape[1:]))])
@@ -427,8 +478,8 @@ def _least_squares(problem, lam, non_negative):
     residual = problem.residual(np.arange(problem.n_paths), rows)
     seen = np.zeros((n_parts, len(problem.cell_place)))
     problem.seen(residual, np.arange(seen.shape[1]), seen)
-    largest = cell_kernels.price(np.arange(problem.n_paths), problem.cells, seen, non_negative,
-                                np.zeros(problem.n_paths))
+    largest = problem.price(np.arange(problem.n_paths), seen, non_negative,
+                            np.zeros(problem.n_paths))
     n_active = int(np.count_nonzero(rows.any(axis=(1, 2))))
     objective = 0.5 * float(np.vdot(residual, residual)) + 0.5 * lam**2 * n_active
     step = Step(0.0, objective, n_active, largest / lam)
