@@ -18,7 +18,7 @@ FRAMES = np.random.default_rng(0).standard_normal((4, 16, 16))
     pytest.param(np.zeros((4, 16, 16), bool), 'numbers.*bool', id='truth values'),
     pytest.param(np.full((4, 16, 16), 'a'), 'numbers', id='text'),
     pytest.param([[[1, 2], [3]]], 'frames must be an array of numbers', id='ragged'),
-    pytest.param(1j * FRAMES, 'real', id='complex'),
+    pytest.param(1j * FRAMES, 'amplitudes complex', id='complex'),
 ])
 def test_bad_frames_are_named(frames, message):
     with pytest.raises(tbd.DataError, match=message):

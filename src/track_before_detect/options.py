@@ -85,8 +85,9 @@ class DetectorOptions:
         '(partial), which is then found, at the cost of slightly dimmer targets.', kind='text',
         choices=('full', 'partial'))
     amplitudes: str = _option(
-        'non-negative', 'Sign of a target beside the background.', kind='text',
-        choices=('non-negative', 'signed'))
+        'non-negative', 'Sign of a target beside the background; complex for frames of complex '
+        'numbers, in which the phase of a target may be any in each frame and the noise has '
+        'E|n|^2 = 1.', kind='text', choices=('non-negative', 'signed', 'complex'))
     amplitude_model: str = _option(
         'fluctuating', 'Whether the amplitude may differ from frame to frame; constant finds '
         'dimmer targets, if theirs is.', kind='text', choices=('fluctuating', 'constant'))

@@ -6,6 +6,7 @@ import pytest
 import naive
 from track_before_detect.models.amplitudes import (
     AmplitudeModel,
+    COMPLEX,
     CONSTANT,
     NON_NEGATIVE,
     SIGNED,
@@ -78,3 +79,12 @@ def test_statistic_has_unit_variance_up_to_borders_and_masks(name, kind):
     found = scores.scores(frames)
     # A unit normal squared has mean 1 and variance 2.
     assert np.abs(found.mean(axis=0) - 1).max() < 6 * np.sqrt(2 / n_frames)
+
+
+def test_complex_statistic_has_unit_power_up_to_borders():
+    n_frames = 4000
+    parts = np.random.default_rng(9).standard_normal((2, n_frames, *SHAPE)).astype(np.float32)
+    noise = (parts[0] + 1j * parts[1]) * np.float32(0.5**0.5)
+    found = scores_for(GaussianPsf(1.0), SHAPE, COMPLEX).scores(noise)
+    # The power of a circular normal of unit power has mean 1 and variance 1.
+    assert np.abs(found.mean(axis=0) - 1).max() < 6 / np.sqrt(n_frames)

@@ -80,7 +80,16 @@ def test_bad_image_is_refused_in_one_sentence(arguments, message):
 
 
 def test_every_encoding_is_listed():
-    assert set(ENCODINGS) == set(GREY) | set(COLOUR)
+    assert set(ENCODINGS) == set(GREY) | set(COLOUR) | {'32FC2'}
+
+
+@pytest.mark.parametrize('big', [False, True])
+def test_two_channels_are_real_and_imaginary_part(big):
+    parts = np.arange(12, dtype='>f4' if big else '<f4').reshape(2, 3, 2)
+    padded = b''.join(row.tobytes() + b'pad!' for row in parts)
+    frame = decode_image(padded, '32FC2', 2, 3, 28, big)
+    assert frame.dtype == np.complex64
+    np.testing.assert_array_equal(frame, parts[..., 0] + 1j * parts[..., 1])
 
 
 def test_luminance_ignores_alpha():

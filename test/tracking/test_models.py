@@ -126,3 +126,46 @@ def test_what_cannot_be_used_is_refused_in_one_sentence(options, words):
     with pytest.raises(tbd.TbdError, match=words) as error:
         detect(np.zeros((T, *SHAPE)), **options)
     assert len(str(error.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize('name', PSFS)
+@pytest.mark.parametrize('continuation', [(1.0,), (1.0, 0.5, 0.0)])
+def test_noise_free_complex_target_is_recovered_with_its_phases(name, continuation):
+    psf, options = PSFS[name]
+    phases = np.exp(1j * np.random.default_rng(4).uniform(0, 2 * np.pi, T))
+    amplitudes = np.linspace(40, 60, T) * phases
+    result = tbd.detect(picture(psf, PATH, amplitudes), threshold=8.0, amplitudes='complex',
+                        continuation=continuation, **options)
+    assert np.abs(result.trajectories[0].positions - PATH).max() < 0.05
+    if continuation == (1.0,):
+        assert result.gap < 0.05 * result.history[-1].objective
+    else:
+        [found] = result.trajectories
+        np.testing.assert_allclose(found.amplitudes, amplitudes, rtol=5e-3)
+        assert found.snr == pytest.approx(50, rel=1e-2)
+
+
+@pytest.mark.parametrize('masked', [False, True])
+def test_real_part_of_a_complex_scene_is_that_of_a_signed_one(masked):
+    # Frames without an imaginary part have signed amplitudes.
+    generator = np.random.default_rng(3)
+    frames = picture(GaussianPsf(1.0), PATH, 12 * generator.choice([-1, 1], T))
+    frames += generator.standard_normal(frames.shape)
+    options = {'mask': generator.random(SHAPE) < 0.1} if masked else {}
+    signed = detect(frames, amplitudes='signed', **options)
+    as_complex = detect(frames.astype(complex), amplitudes='complex', **options)
+    assert len(signed) == len(as_complex) > 0
+    for one, other in zip(signed, as_complex, strict=True):
+        np.testing.assert_allclose(other.positions, one.positions, atol=1e-3)
+        np.testing.assert_allclose(other.amplitudes, one.amplitudes, atol=1e-2)
+        assert other.statistic == pytest.approx(one.statistic, rel=1e-4)
+
+
+@pytest.mark.parametrize(('dtype', 'options', 'words'), [
+    (float, {'amplitudes': 'complex'}, 'non-negative or signed'),
+    (complex, {'amplitudes': 'signed'}, 'amplitudes complex'),
+    (complex, {'amplitudes': 'complex', 'amplitude_model': 'constant'}, 'constant'),
+    (complex, {'detector': 'cfo_dp'}, 'complex')])
+def test_frames_and_amplitudes_that_do_not_go_together_are_refused(dtype, options, words):
+    with pytest.raises(tbd.TbdError, match=words):
+        detect(np.zeros((T, *SHAPE), dtype), **options)

@@ -9,6 +9,8 @@ import math
 
 import numba
 
+from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE
+
 _COMPILE = {'nogil': True, 'cache': True}
 # Newton steps on a concave function of one variable; a handful settle all digits.
 MOST_LINE_STEPS = 60
@@ -18,16 +20,15 @@ MOST_LINE_STEPS = 60
 def shrink(row, weight, model):
     """Shrink a vector of amplitudes towards zero by ``weight``, in place (Patent Eq. 14-15).
 
-    ``model`` 0 keeps amplitudes non-negative, 1 lets them have any sign, 2 makes them one
-    non-negative number (see the module ``amplitudes`` of the models).
+    ``model`` is NON_NEGATIVE, SIGNED or CONSTANT (see the module ``amplitudes`` of the models).
     """
-    if model == 2:
+    if model == CONSTANT:
         mean = max(row.sum() / row.size, 0.0)
         for t in range(row.size):
             row[t] = mean
     total = 0.0
     for t in range(row.size):
-        if model == 0 and row[t] < 0.0:
+        if model == NON_NEGATIVE and row[t] < 0.0:
             row[t] = 0.0
         total += row[t] * row[t]
     norm = math.sqrt(total)

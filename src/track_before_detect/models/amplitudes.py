@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, SIGNED
+from track_before_detect.kernels.amplitude_codes import COMPLEX, CONSTANT, NON_NEGATIVE, SIGNED
 
-__all__ = ['CONSTANT', 'NON_NEGATIVE', 'SIGNED', 'AmplitudeModel']
+__all__ = ['COMPLEX', 'CONSTANT', 'NON_NEGATIVE', 'SIGNED', 'AmplitudeModel']
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,7 @@ class AmplitudeModel:
     ============ =========================================== ==============================
     NON_NEGATIVE x_t >= 0, any value in each frame           square root of sum of max(h, 0)^2
     SIGNED       any value in each frame                     square root of sum of h^2
+    COMPLEX      any complex number in each frame            square root of sum of |h|^2
     CONSTANT     one amplitude alpha >= 0, x_t = alpha/sqrt(T) sum of h over sqrt(T)
     ============ =========================================== ==============================
 
@@ -49,7 +50,7 @@ class AmplitudeModel:
                     'amplitude_model constant needs amplitudes non-negative, got '
                     f'{amplitudes!r}')
             return cls(CONSTANT)
-        return cls(SIGNED if amplitudes == 'signed' else NON_NEGATIVE)
+        return cls({'signed': SIGNED, 'complex': COMPLEX}.get(amplitudes, NON_NEGATIVE))
 
     @property
     def is_constant(self) -> bool:
@@ -57,15 +58,30 @@ class AmplitudeModel:
         return self.code == CONSTANT
 
     @property
+    def is_complex(self) -> bool:
+        """Whether frames and amplitudes are complex, the noise with E|n|^2 = 1."""
+        return self.code == COMPLEX
+
+    @property
     def turn_cost(self) -> float:
         """Cost of a change of either velocity component by one step, in units of a value."""
         return 0.5 if self.is_constant else 3.0
+
+    def best(self, seen: NDArray) -> NDArray:
+        """Return the amplitudes that fit the statistic of each frame best, shape (T,)."""
+        if self.is_constant:
+            return np.full(len(seen), max(float(np.mean(seen)), 0.0))
+        return np.maximum(seen, 0) if self.code == NON_NEGATIVE else seen.copy()
 
     def statistic(self, seen: NDArray) -> float:
         """Return eta for the matched filter statistic h of each frame, shape (T,)."""
         if self.is_constant:
             return max(float(np.sum(seen)), 0.0) / math.sqrt(len(seen))
-        return float(np.linalg.norm(seen if self.code == SIGNED else np.maximum(seen, 0)))
+        return float(np.linalg.norm(np.maximum(seen, 0) if self.code == NON_NEGATIVE else seen))
+
+    def snr(self, seen: NDArray) -> float:
+        """Return the mean statistic of one frame: of |h| where it is complex."""
+        return float(np.mean(np.abs(seen) if self.is_complex else seen))
 
     def weight(self, threshold: float, cost: float) -> float:
         """Return lambda of a path whose turns cost ``cost``: what its statistic has to pass.

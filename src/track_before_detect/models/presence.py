@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, SIGNED
+from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, NON_NEGATIVE
 
 # Log-likelihood that has to speak against a target before the end of its path is cut off.
 CUT = 1.0
@@ -98,5 +98,5 @@ def presence_for(model: AmplitudeModel) -> Presence:
         raise ParameterError(
             'presence partial cannot be searched with amplitude_model constant: take fluctuating, '
             'or presence full')
-    per_frame = 2.0 if model.code == SIGNED else 1.4
+    per_frame = 1.4 if model.code == NON_NEGATIVE else 2.0
     return Presence(per_frame, entry=6.0, leaving=6.0)

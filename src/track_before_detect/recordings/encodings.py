@@ -19,6 +19,8 @@ _ENCODINGS: dict[str, tuple[str, int, tuple[int, int, int] | None]] = {
     '16UC1': ('u2', 1, None),
     '32FC1': ('f4', 1, None),
     '64FC1': ('f8', 1, None),
+    # Real and imaginary part of complex numbers.
+    '32FC2': ('c8', 1, None),
     'rgb8': ('u1', 3, (0, 1, 2)),
     'bgr8': ('u1', 3, (2, 1, 0)),
     'rgba8': ('u1', 4, (0, 1, 2)),
@@ -68,8 +70,8 @@ def decode_image(data, encoding: str, height: int, width: int, step: int,
     Returns
     -------
     array, shape (H, W)
-        A copy in native byte order: uint8, uint16, float32 or float64 as encoded, float32 for
-        colour.
+        A copy in native byte order: uint8, uint16, float32, float64 or complex64 as encoded,
+        float32 for colour.
     """
     if encoding not in _ENCODINGS:
         raise DataError(f'image encoding must be one of {", ".join(ENCODINGS)}, got {encoding!r}')

@@ -36,5 +36,5 @@ class ConvexDetector(PathDetector):
             found.append(FoundTrajectory(
                 np.where(present[:, None], paths.positions[path], np.nan),
                 np.where(present, paths.target_amplitudes(path), np.nan),
-                self.statistic(value, len(seen)), float(np.mean(seen[present]))))
+                self.statistic(value, len(seen)), model.snr(seen[present])))
         return sorted(found, key=lambda trajectory: -trajectory.statistic)

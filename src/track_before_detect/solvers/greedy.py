@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_before_detect.kernels.shrinkage import shrink
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.types import Step
@@ -41,15 +40,12 @@ class GreedyDetector(PathDetector):
             paths.add(path.positions, path.cost)
             added = len(paths) - 1
             seen = paths.seen(added)
-            amplitudes = seen.copy()
-            # Without a weight this is the least-squares fit within the amplitude model.
-            shrink(amplitudes, 0.0, model.code)
-            paths.assign(np.array([added]), amplitudes[None])
+            paths.assign(np.array([added]), model.best(seen)[None])
             present = self.present(path.positions, seen)
             found.append(FoundTrajectory(
                 np.where(present[:, None], path.positions, np.nan),
                 np.where(present, paths.target_amplitudes(added), np.nan),
-                self.statistic(path.value, len(seen)), float(np.mean(seen[present]))))
+                self.statistic(path.value, len(seen)), model.snr(seen[present])))
         found.sort(key=lambda trajectory: -trajectory.statistic)
         threshold = self.statistic(model.value(paths.threshold), len(task.times))
         return BatchResult(found, threshold, status, history, float('nan'))

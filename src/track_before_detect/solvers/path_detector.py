@@ -10,7 +10,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
 from track_before_detect.models.presence import frames_seen_in, presence_for
 from track_before_detect.models.psf import ArrayPsf, GaussianPsf, Psf
@@ -187,7 +187,7 @@ class PathDetector(BatchDetector):
             search = self._new_search(graph, (crop[0], crop[1] + 2 * margin), 1)
 
             def largest(generator):
-                noise = generator.standard_normal((graph.n_frames, *crop), dtype=np.float32)
+                noise = self._noise(generator, (graph.n_frames, *crop))
                 return self.statistic(search.best_value(strip(noise, margin)), graph.n_frames)
 
             return largest
@@ -210,16 +210,22 @@ class PathDetector(BatchDetector):
     def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
                         progress: Progress | None = None) -> BatchResult:
         """Find the trajectories where the noise differs between pixels."""
+        if np.iscomplexobj(frames) != self.model.is_complex:
+            kind, wanted = (('complex', 'complex') if np.iscomplexobj(frames) else
+                            ('real', 'non-negative or signed'))
+            raise DataError(f'frames of {kind} numbers need amplitudes {wanted}, got '
+                            f'{self.options.amplitudes}')
         shape = frames.shape[1:]
         graph = self.graph(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
         margin = self._margin(graph)
-        frames = np.ascontiguousarray(strip(frames, margin), np.float32)
+        frames = np.ascontiguousarray(
+            strip(frames, margin), np.complex64 if self.model.is_complex else np.float32)
         if weights is not None:
             weights = strip(np.asarray(weights), margin)
         valid = np.isfinite(frames)
         if not valid.all():
-            frames = np.where(valid, frames, np.float32(0))
+            frames = np.where(valid, frames, frames.dtype.type(0))
             weights = valid.astype(np.float32) if weights is None else weights * valid
         search = self._path_search(graph, frames.shape[1:], weights)
         if weights is None:
@@ -231,6 +237,13 @@ class PathDetector(BatchDetector):
         if margin:
             result = replace(result, found=once_each(result.found, margin, shape[1]))
         return result
+
+    def _noise(self, generator, shape):
+        noise = generator.standard_normal(shape, dtype=np.float32)
+        if not self.model.is_complex:
+            return noise
+        imaginary = generator.standard_normal(shape, dtype=np.float32)
+        return (noise + 1j * imaginary) * np.float32(0.5**0.5)
 
     def statistic(self, value: float, n_frames: int) -> float:
         """Return the statistic of a path that is compared with the threshold.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels import group_lasso, least_squares
-from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, SIGNED
+from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, NON_NEGATIVE
 
 MOST_ROUNDS = 200
 # Share of the energy of the data below which a duality gap is lost in rounding.
@@ -53,24 +53,30 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
         gram = gram.sum(axis=2, keepdims=True) / n_frames
     else:
         x = amplitudes.copy()
-    non_negative = model.code != SIGNED
+    non_negative = constant or model.code == NON_NEGATIVE
+    # As (P, D, T): a complex number is D = 2 real ones.
+    x, matched = _in_parts(x), _in_parts(matched)
     if t_convex == 0.0:
-        x = x[:, None]
-        converged = least_squares.solve(x, np.ascontiguousarray(matched)[:, None],
-                                        np.ascontiguousarray(gram), non_negative)
+        converged = least_squares.solve(x, matched, np.ascontiguousarray(gram), non_negative)
     else:
         # Columns over their weights have the one weight t.
-        x = (x * weights[:, None])[:, None]
+        x *= weights[:, None, None]
         wanted = max(gap, ROUNDING * energy)
         reached, _ = group_lasso.solve(
-            x, (matched / weights[:, None])[:, None],
+            x, matched / weights[:, None, None],
             gram / (weights[:, None] * weights)[:, :, None], np.empty_like(x), t_convex,
             non_negative, energy, wanted, MOST_ROUNDS)
         converged = reached <= wanted
         x /= weights[:, None, None]
-    fitted = x[:, 0]
+    fitted = x[:, 0] + 1j * x[:, 1] if model.is_complex else x[:, 0]
     return (np.repeat(fitted / math.sqrt(n_frames), n_frames, axis=1) if constant else fitted,
             converged)
+
+
+def _in_parts(values):
+    """Return a copy of values (P, T) as real numbers, shape (P, 1, T) or (P, 2, T)."""
+    parts = (values.real, values.imag) if np.iscomplexobj(values) else (values,)
+    return np.ascontiguousarray(np.stack(parts, axis=1), np.float64)
 
 
 def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
@@ -85,7 +91,7 @@ def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDA
         As in :func:`fit_amplitudes`.
     """
     explained = np.einsum('pqt,qt->pt', gram, amplitudes)
-    norms = np.sqrt(np.einsum('pt,pt->p', amplitudes, amplitudes))
-    return float(np.sum(amplitudes * (0.5 * explained - matched))
+    norms = np.linalg.norm(amplitudes, axis=1)
+    return float(np.vdot(amplitudes, 0.5 * explained - matched).real
                  + t_convex * np.sum(weights * norms)
                  + 0.5 * (1 - t_convex)**2 * np.sum(weights[norms > 0]**2))

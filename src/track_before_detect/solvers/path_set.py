@@ -71,16 +71,20 @@ class PathSet:
         self._origins: list[NDArray] = []
         self._norms: list[NDArray] = []
         n_frames = len(frames)
-        self.matched = np.empty((0, n_frames))
+        number = complex if model.is_complex else float
+        self.matched = np.empty((0, n_frames), number)
         self.weights = np.empty(0)
-        self.amplitudes = np.empty((0, n_frames))
+        self.amplitudes = np.empty((0, n_frames), number)
         # Most paths of a large scene are far apart: only the overlaps of those that meet are
         # held, one row for each pair; row 0, of zeros, stands for all others.
         self._pairs = np.empty((0, 0), np.int32)
         self._overlaps = np.zeros((64, n_frames))
         self._free_rows = list(range(63, 0, -1))
         self.residual = frames.copy()
-        self.energy = 0.5 * float(np.einsum('tyx,tyx->', frames, frames, dtype=np.float64))
+        # Part by part, so that no copy of all frames in double precision is made.
+        parts = (frames.real, frames.imag) if model.is_complex else (frames,)
+        self.energy = 0.5 * sum(
+            float(np.einsum('tyx,tyx->', part, part, dtype=np.float64)) for part in parts)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -94,7 +98,7 @@ class PathSet:
         self._stamps.append(stamps)
         self._origins.append(origins)
         self._norms.append(norms)
-        nothing = np.zeros((1, len(self.frames)))
+        nothing = np.zeros((1, len(self.frames)), self.matched.dtype)
         self.matched = np.concatenate([self.matched, nothing])
         self.amplitudes = np.concatenate([self.amplitudes, nothing])
         self.weights = np.append(self.weights, self.model.weight(self.threshold, cost))
@@ -186,14 +190,14 @@ class PathSet:
 
     def objective(self, t_convex: float) -> float:
         """Return F_t, the energy of the data included."""
-        fit = np.sum(self.amplitudes * self.explained())
-        norms = np.sqrt(np.einsum('pt,pt->p', self.amplitudes, self.amplitudes))
+        fit = np.vdot(self.amplitudes, self.explained()).real
+        norms = np.linalg.norm(self.amplitudes, axis=1)
         used = self.weights[norms > 0]
-        return float(self.energy + 0.5 * fit - np.sum(self.matched * self.amplitudes)
+        return float(self.energy + 0.5 * fit - np.vdot(self.amplitudes, self.matched).real
                      + t_convex * np.sum(self.weights * norms)
                      + 0.5 * (1 - t_convex)**2 * math.fsum(used**2))
 
-    def explained(self) -> NDArray[np.float64]:
+    def explained(self) -> NDArray:
         """Return the matched filter of the fit along each path, shape (P, T)."""
         first, second = np.nonzero(self._pairs)
         products = self._overlaps[self._pairs[first, second]] * self.amplitudes[second]
@@ -235,7 +239,7 @@ class PathSet:
     def statistic_of(self, positions: NDArray) -> float:
         """Return the statistic of any path on the residual."""
         stamps, origins, _ = self._render(positions)
-        seen = np.empty(len(self.frames))
+        seen = np.empty(len(self.frames), self.matched.dtype)
         stamp_kernels.correlate(stamps, origins, self.residual, seen)
         return self.model.statistic(seen)
 

@@ -150,8 +150,8 @@ def duality_gap(paths: PathSet, largest: float) -> float:
     seen = np.array([paths.model.statistic(row) for row in left])
     if len(paths):
         scale = min(scale, float(np.min(paths.weights / np.maximum(seen, 1e-300))))
-    fit = np.sum(paths.amplitudes * explained)
-    cross = np.sum(paths.matched * paths.amplitudes)
+    fit = np.vdot(paths.amplitudes, explained).real
+    cross = np.vdot(paths.amplitudes, paths.matched).real
     residual_energy = paths.energy - cross + 0.5 * fit
     data_times_residual = 2 * paths.energy - cross
     dual = scale * data_times_residual - scale**2 * residual_energy

@@ -130,6 +130,8 @@ class TrackingPipeline:
         pixels = frame[np.isfinite(frame)]
         if not len(pixels):
             return
+        if np.iscomplexobj(pixels):
+            pixels = pixels.real * 2**0.5
         spread = 1.4826 * float(np.median(np.abs(pixels - np.median(pixels))))
         if spread > MOST_SPREAD:
             _LOG.warning(
@@ -144,6 +146,8 @@ class TrackingPipeline:
             variance=None, mask=None)
         frames = np.random.default_rng(0).standard_normal((8, 24, 24)).astype(np.float32)
         frames[:, 10:13, 10:13] += 8
+        if options.amplitudes == 'complex':
+            frames = frames.astype(np.complex64)
         stamps = np.arange(8.0)
         detector = DETECTOR_CLASSES[options.detector](options)
         detector.detect(frames, stamps)
@@ -159,8 +163,6 @@ def _check(batch):
     if frames.ndim != 3 or 0 in frames.shape:
         raise DataError(
             f'frames must have shape (T, H, W) with no empty side, got {frames.shape}')
-    if np.iscomplexobj(frames):
-        raise DataError('frames must be real, got complex numbers: pass their magnitude')
     if stamps.shape != (len(frames),):
         raise DataError(f'stamps must have shape ({len(frames)},), got {stamps.shape}')
     if not np.all(np.isfinite(stamps)):

@@ -116,7 +116,8 @@ class _Joined:
         depth = np.full(n_frames, -1)
         positions = np.full((n_frames, 2), np.nan)
         velocity = np.full((n_frames, 2), np.nan)
-        amplitudes = np.full(n_frames, np.nan)
+        # Complex where those of a part are.
+        amplitudes = np.full(n_frames, np.nan, np.result_type(*[p.amplitudes for p in parts]))
         for part in parts:
             own = np.arange(len(part.frame_indices))
             inside = np.minimum(own, own[::-1])
