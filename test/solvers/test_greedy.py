@@ -108,7 +108,7 @@ def test_search_that_is_cut_short_says_so(monkeypatch):
 def test_threshold_is_that_of_the_convex_detector():
     options = {'max_speed_px_s': 0.0, 'false_alarm_rate': 0.5}
     both = [DETECTOR_CLASSES[name](DetectorOptions(detector=name, **options))
-            .threshold(np.arange(2.0), (10, 12)) for name in DETECTORS]
+            .threshold(np.arange(2.0), (10, 12)) for name in ('convex', 'greedy')]
     assert both[0] == both[1]
 
 
