@@ -79,6 +79,9 @@ def test_statistic_has_unit_variance_up_to_borders_and_masks(name, kind):
     found = scores.scores(frames)
     # A unit normal squared has mean 1 and variance 2.
     assert np.abs(found.mean(axis=0) - 1).max() < 6 * np.sqrt(2 / n_frames)
+    constant = scores_for(PSFS[name], SHAPE, CONSTANT)
+    constant.set_weights(weights)
+    np.testing.assert_allclose(n_frames * constant.scores(frames)**2, found, rtol=1e-3, atol=1e-4)
 
 
 def test_complex_statistic_has_unit_power_up_to_borders():

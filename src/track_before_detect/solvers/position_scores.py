@@ -92,14 +92,14 @@ class PositionScores:
         frames : array, shape (T, H, W)
             In units of the noise, masked pixels zero; complex where the amplitudes are.
         factor, tilt : float
-            Of constant amplitudes: factor * n h - tilt * n^2, n one without weights; the factor
-            is one over the root of the number of frames unless given.
+            Of constant amplitudes: factor * n h - tilt * n^2, n one without weights. Unless a
+            factor is given it is h over the root of the number of frames, as if n were one.
         """
         n_frames = len(frames)
         scores = np.empty((n_frames, *self._grid_shape), np.float32)
-        factor = n_frames**-0.5 if factor is None else factor
         weighted = self.shares is not None
-        uneven = weighted and self._model.is_constant
+        uneven = weighted and self._model.is_constant and factor is not None
+        factor = n_frames**-0.5 if factor is None else factor
         shares = self.shares if weighted else self._border
         if weighted or len(self._border):
             scale_y, scale_x = self._ones
