@@ -99,6 +99,7 @@ def test_accuracy_of_bright_targets_is_near_the_bound(no_calibration, monkeypatc
     by_name = {quantity.name: quantity for quantity in result.quantities}
     assert by_name['SNR 30: target found'].value == 1.0
     assert 0.6 < by_name['SNR 30: position RMSE over the bound'].value < 1.6
+    assert by_name['SNR 30: no second trajectory of the target'].value == 1
     assert by_name['SNR 30: amplitude over the true one'].value == pytest.approx(1, abs=0.02)
     assert len(result.rows) == 12
 

@@ -27,6 +27,8 @@ RADIUS_PX = 20.0
 # far inside.
 FOUND_PX = 2.0
 MARGIN_PX = 15.0
+# A second trajectory this near to a target is made by it, not by noise.
+GHOST_PX = 6 * SIGMA_PX
 MODELS = ('constant', 'fluctuating')
 
 Item = Mapping[str, Any]
@@ -76,8 +78,10 @@ def isolated_target(item: Item) -> dict[str, Any]:
     Returns
     -------
     dict
-        Number of trajectories; of the strongest one, squared position error in each frame (mean
-        over both axes) and mean amplitude over the true one, None where nothing was found.
+        Number of trajectories, and of those beside the strongest one that are less than
+        :data:`GHOST_PX` from the target on average; of the strongest one, squared position error
+        in each frame (mean over both axes) and mean amplitude over the true one, None where
+        nothing was found.
     """
     rng = np.random.default_rng(item['seed'])
     truth = _path(rng, 'line') + 0.5 * (ACCURACY_PX - 1) + rng.uniform(-3, 3, 2)
@@ -85,10 +89,13 @@ def isolated_target(item: Item) -> dict[str, Any]:
     result = detector('fluctuating', item['threshold']).detect(frames,
                                                                np.arange(float(N_FRAMES)))
     if not result.found:
-        return {'n_found': 0, 'squared_errors': None, 'amplitude': None}
+        return {'n_found': 0, 'n_ghosts': 0, 'squared_errors': None, 'amplitude': None}
     best = max(result.found, key=lambda one: one.statistic)
     squared = ((best.positions - truth)**2).mean(axis=1)
+    distances = [np.linalg.norm(one.positions - truth, axis=1).mean()
+                 for one in result.found if one is not best]
     return {'n_found': len(result.found), 'squared_errors': squared.tolist(),
+            'n_ghosts': sum(bool(distance < GHOST_PX) for distance in distances),
             'amplitude': float(best.amplitudes.mean() / item['snr'])}
 
 
