@@ -12,7 +12,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.types import DetectionResult, Step, Trajectory
 
 if TYPE_CHECKING:
-    from track_before_detect.detection import detect
+    from track_before_detect.detection import detect, detect_sensors, Sensor
     from track_before_detect.solvers.fit_paths import fit_paths, FittedPaths
 
 __version__ = '0.1.0'
@@ -24,19 +24,21 @@ __all__ = [
     'FittedPaths',
     'MissingExtraError',
     'ParameterError',
+    'Sensor',
     'Step',
     'TbdError',
     'Trajectory',
     'detect',
+    'detect_sensors',
     'fit_paths',
 ]
 
 
 def __getattr__(name: str) -> Any:
     """Import the solvers when they are first asked for: loading the compiler takes a second."""
-    if name == 'detect':
-        from track_before_detect.detection import detect
-        return detect
+    if name in ('detect', 'detect_sensors', 'Sensor'):
+        from track_before_detect import detection
+        return getattr(detection, name)
     if name in ('fit_paths', 'FittedPaths'):
         from track_before_detect.solvers import fit_paths
         return getattr(fit_paths, name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.tracking.recorded import detect_recording
+from track_before_detect.tracking.sensors import Sensor, SensorArray, SensorPipeline
 from track_before_detect.types import DetectionResult, Progress
 
 
@@ -78,6 +80,59 @@ def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = '
     if times.shape != (len(array),):
         raise DataError(f'stamps must have shape ({len(array)},), got {times.shape}')
     return detect_recording(_ArrayRecording(array, times), settings, progress)
+
+
+def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
+                   progress: Progress | None = None, **options: Any) -> DetectionResult:
+    """Find the trajectories of targets that several sensors see at once or in turn.
+
+    A target is searched on a common plane, at the place where each frame of each sensor shows it:
+    none is resampled, so their noise stays what it is. What no sensor finds alone may be found by
+    all of them together.
+
+    Parameters
+    ----------
+    sensors : sequence of Sensor
+        Frames, stamps, map to the plane, point spread function and noise of each. Stamps may
+        interleave and coincide.
+    detector : str
+        ``'convex'`` or ``'greedy'``.
+    progress : callable, optional
+        Called with a label and the share done, 0 to 1, during long work.
+    **options
+        Fields of :class:`DetectorOptions`; speeds are those on the plane, a frame is one of any
+        sensor. ``registration``, constant amplitudes and range-Doppler maps are refused.
+
+    Returns
+    -------
+    DetectionResult
+        As of :func:`detect`, positions and velocities on the common plane. The rows of a
+        trajectory are the frames of all sensors in the order of their stamps, equal stamps in the
+        order of the sensors; amplitudes are in the units of the sensor that took the frame, NaN
+        where the target is outside its view.
+
+    Raises
+    ------
+    ParameterError
+        An option or an attribute of a sensor is unknown, out of range or refused.
+    DataError
+        Frames or stamps cannot be used.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import track_before_detect as tbd
+    >>> frames = np.zeros((4, 32, 32))
+    >>> frames[:, 16, 16] = 20.0
+    >>> turned = tbd.Sensor(frames.transpose(0, 2, 1)[:, ::-1], np.arange(4) + 0.5,
+    ...                     affine=[[0, -1, 31], [1, 0, 0]])
+    >>> result = tbd.detect_sensors([tbd.Sensor(frames, np.arange(4)), turned], threshold=8)
+    >>> [t.positions[0].round().tolist() for t in result.trajectories]
+    [[16.0, 16.0]]
+    """
+    settings = DetectorOptions.from_mapping({'detector': detector, **options})
+    array = SensorArray(sensors, settings)
+    return detect_recording(array, settings, progress, SensorPipeline(array, settings))
 
 
 def _as_array(name, values, dtype=None):

@@ -1,7 +1,5 @@
 """Move a path uphill on its squared statistic within a family of smooth displacements."""
 
-import math
-
 import numba
 import numpy as np
 
@@ -11,7 +9,7 @@ from track_before_detect.kernels.amplitude_codes import (
     NON_NEGATIVE,
     SIGNED_CONSTANT,
 )
-from track_before_detect.kernels.stamps import statistic_and_slope
+from track_before_detect.kernels.sight import curvatures, look, sharpest
 
 _COMPILE = {'nogil': True, 'cache': True}
 
@@ -51,30 +49,33 @@ def best_amplitudes(seen, norms, model, out):
 
 
 @numba.njit(**_COMPILE)
-def climb(positions, basis, optics, frames, weights, model, most_steps):
+def climb(positions, basis, sight, limits, frames, weights, model, most_steps):
     """Maximise the squared statistic, borders and weights considered, by Gauss-Newton steps.
 
     positions : float64 (T, 2), moved in place
     basis : float64 (T, 2, B), C-contiguous; the displacement (x, y) of each frame is basis @ c
-    optics, frames, weights : as in the module ``stamps``
+    sight : Sight, see the module ``sight``
+    limits : float64 (2,), largest x and y
+    frames, weights : as in the module ``stamps``
     model : amplitude model, see the function ``shrink``
 
     Returns the squared statistic reached.
     """
     n_frames, _, n_basis = basis.shape
     rows = basis.reshape(2 * n_frames, n_basis)
-    limit_x, limit_y = frames.shape[2] - 1.0, frames.shape[1] - 1.0
     seen = np.empty((n_frames, 3))
     trial_seen = np.empty((n_frames, 3))
     trial = np.empty((n_frames, 2))
     amplitudes = np.empty(n_frames)
     trial_amplitudes = np.empty(n_frames)
     norms = np.empty(n_frames)
-    sigma = 1.0 / math.sqrt(optics.curvature.sum())
+    curvature = np.empty((n_frames, 2))
     normal = np.empty((n_basis, n_basis))
     right = np.empty(n_basis)
-    _clip(positions, limit_x, limit_y)
-    statistic_and_slope(optics, positions, frames, weights, model, seen, norms)
+    _clip(positions, limits[0], limits[1])
+    curvatures(sight, positions, curvature)
+    sigma = sharpest(curvature)
+    look(sight, positions, frames, weights, model, seen, norms)
     value = best_amplitudes(seen, norms, model, amplitudes)
     damping = 0.0
     for _ in range(most_steps):
@@ -84,7 +85,7 @@ def climb(positions, basis, optics, frames, weights, model, most_steps):
             for axis in range(2):
                 # A stamp loses curvature d^2 / 2 of its statistic at distance d, and half the
                 # squared statistic has as much curvature; the floor keeps empty frames harmless.
-                curvature = (amplitudes[t]**2 + 0.1) * optics.curvature[axis]
+                bend = (amplitudes[t]**2 + 0.1) * curvature[t, axis]
                 slope = amplitudes[t] * seen[t, 1 + axis]
                 for i in range(n_basis):
                     here = basis[t, axis, i]
@@ -92,7 +93,7 @@ def climb(positions, basis, optics, frames, weights, model, most_steps):
                         continue
                     right[i] += here * slope
                     for k in range(n_basis):
-                        normal[i, k] += curvature * here * basis[t, axis, k]
+                        normal[i, k] += bend * here * basis[t, axis, k]
         for i in range(n_basis):
             normal[i, i] = normal[i, i] * (1.0 + damping) + 1e-9
         step = (rows @ np.linalg.solve(normal, right)).reshape(n_frames, 2)
@@ -100,8 +101,8 @@ def climb(positions, basis, optics, frames, weights, model, most_steps):
         if largest > sigma:
             step *= sigma / largest
         trial[:] = positions + step
-        _clip(trial, limit_x, limit_y)
-        statistic_and_slope(optics, trial, frames, weights, model, trial_seen, norms)
+        _clip(trial, limits[0], limits[1])
+        look(sight, trial, frames, weights, model, trial_seen, norms)
         trial_value = best_amplitudes(trial_seen, norms, model, trial_amplitudes)
         if trial_value > value:
             gained = trial_value - value

@@ -15,6 +15,7 @@ from scipy.special import ndtr
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.kernels.profiles import fill_profiles, Optics, product_norm
+from track_before_detect.kernels.sight import Sight
 
 LEAST_SIGMA_PX = 0.2
 # Samples of a Gaussian per standard deviation: a cubic spline through them is exact to 1e-7.
@@ -118,6 +119,16 @@ class Psf(ABC):
         """Return what compiled loops need; the curvature only for climbing."""
         return Optics(self.coefficients, self.per_px, self.half_width, np.zeros(1), np.ones(1),
                       np.zeros(2) if curvature is None else curvature, 0.0, 0.0, np.empty(0))
+
+
+    def sight(self, for_climbing: bool = False) -> Sight:
+        """Return how frames see a path in their own pixels, see the module ``sight``."""
+        optics = self.optics(self.curvature if for_climbing else None)
+        return Sight((optics,), np.zeros(0, np.int64), np.empty((0, 3, 3)))
+
+    def limits(self, shape: tuple[int, int]) -> NDArray[np.float64]:
+        """Return the largest x and y of a position in frames (H, W)."""
+        return np.array([shape[1] - 1.0, shape[0] - 1.0])
 
 
 @dataclass(frozen=True)

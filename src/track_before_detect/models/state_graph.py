@@ -115,7 +115,7 @@ def build_state_graph(stamps: NDArray, *, step_px: float, max_speed: float,
     Parameters
     ----------
     stamps : array, shape (T,)
-        Seconds, strictly increasing.
+        Seconds, increasing; frames of several sensors may share a stamp.
     step_px : float
         Distance of neighbouring positions in pixels.
     max_speed : float
@@ -126,20 +126,21 @@ def build_state_graph(stamps: NDArray, *, step_px: float, max_speed: float,
         Cost of one velocity step at a turn.
     """
     n_frames = len(stamps)
-    interval = float(np.median(np.diff(stamps))) if n_frames > 1 else 1.0
+    moments = np.unique(stamps)
+    interval = float(np.median(np.diff(moments))) if len(moments) > 1 else 1.0
     span = float(stamps[-1] - stamps[0]) + interval
     if max_acceleration > 0 and max_speed > 0:
         duration = math.sqrt(STEPS_PER_SEGMENT * step_px / max_acceleration)
     else:
         duration = span
-    n_segments = min(max(1, round(span / max(duration, interval))), n_frames)
+    n_segments = min(max(1, round(span / max(duration, interval))), len(moments))
     starts = stamps[0] + span / n_segments * np.arange(n_segments)
     knots = np.searchsorted(stamps, starts - 1e-6 * interval)
     knots = np.unique(np.append(knots, n_frames))
     n_segments = len(knots) - 1
 
-    if n_segments == n_frames:
-        # Each frame is a segment of its own: a finer step than one position would not be seen.
+    if n_segments == len(moments):
+        # Each moment is a segment of its own: a finer step than one position would not be seen.
         velocity_step = step_px / interval
     elif n_segments == 1:
         velocity_step = STEPS_PER_SEGMENT * step_px / max(span - interval, interval)
@@ -171,6 +172,15 @@ def regular_stamps(stamps: NDArray) -> NDArray[np.float64]:
     intervals = np.diff(stamps)
     quarters = np.maximum(np.rint(4 * intervals / np.median(intervals)), 1) / 4
     return np.append(0.0, np.cumsum(quarters))
+
+
+def exact_stamps(stamps: NDArray) -> NDArray[np.float64]:
+    """Return stamps in units of the median interval between those that differ.
+
+    For frames of several sensors, whose moments fall anywhere between each other's.
+    """
+    intervals = np.diff(np.unique(stamps))
+    return (stamps - stamps[0]) / (np.median(intervals) if len(intervals) else 1.0)
 
 
 def _disc(radius):

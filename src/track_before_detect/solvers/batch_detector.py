@@ -143,5 +143,6 @@ class BatchDetector(ABC):
 
 
 def median_interval(stamps: NDArray) -> float:
-    """Return the median interval of stamps (s), 1 s for a single frame."""
-    return float(np.median(np.diff(stamps))) if len(stamps) > 1 else 1.0
+    """Return the median interval of stamps (s) that differ, 1 s for a single one."""
+    moments = np.unique(stamps)
+    return float(np.median(np.diff(moments))) if len(moments) > 1 else 1.0

@@ -106,12 +106,12 @@ class PlaneMotions(Motions):
 
     def allowed(self, positions: NDArray) -> bool:
         """Return whether no step is faster than a target may be."""
-        if len(positions) < 2:
-            return True
-        velocity = np.diff(positions, axis=0) / np.diff(self._stamps)[:, None]
-        speed = np.hypot(velocity[:, 0], velocity[:, 1])
+        intervals = np.diff(self._stamps)
+        later = intervals > 0
+        moved = np.diff(positions, axis=0)[later]
+        speed = np.hypot(moved[:, 0], moved[:, 1]) / intervals[later]
         # Positions on the grid jump by whole steps; over one interval that is a speed of its own.
-        slack = 2 * self._graph.step_px / np.diff(self._stamps)
+        slack = 2 * self._graph.step_px / intervals[later]
         return bool(np.all(speed <= self._max_speed + slack))
 
     def velocities(self, positions: NDArray) -> NDArray:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.presence import Presence
 from track_before_detect.models.psf import Psf
 from track_before_detect.models.state_graph import StateGraph
@@ -31,7 +32,7 @@ class PartialRefiner(Refiner):
         Cost of being present.
     """
 
-    def __init__(self, graph: StateGraph, psf: Psf, stamps: NDArray,
+    def __init__(self, graph: StateGraph, psf: Psf | PlaneView, stamps: NDArray,
                  weights: NDArray, model: AmplitudeModel, presence: Presence):
         super().__init__(graph, psf, stamps, weights, model)
         self._graph = graph

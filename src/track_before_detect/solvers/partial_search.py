@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from track_before_detect.kernels import partial_search
 from track_before_detect.kernels.path_search import ABSENT
 from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.presence import Presence
 from track_before_detect.models.psf import Psf
 from track_before_detect.models.state_graph import StateGraph
@@ -30,7 +31,7 @@ class PartialSearch(PathSearch):
         Cost of being present.
     """
 
-    def __init__(self, graph: StateGraph, psf: Psf, shape: tuple[int, int],
+    def __init__(self, graph: StateGraph, psf: Psf | PlaneView, shape: tuple[int, int],
                  model: AmplitudeModel, presence: Presence, n_threads: int = 1):
         super().__init__(graph, psf, shape, model, n_threads)
         self._presence = presence

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
+from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.presence import frames_seen_in, presence_for
 from track_before_detect.models.psf import ArrayPsf, GaussianPsf, Psf
 from track_before_detect.models.range_doppler import build_range_doppler_graph
 from track_before_detect.models.state_graph import (
     build_state_graph,
+    exact_stamps,
     regular_stamps,
     StateGraph,
 )
@@ -30,7 +32,7 @@ from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.partial_search import PartialSearch
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
-from track_before_detect.solvers.threshold import NoiseStudy
+from track_before_detect.solvers.threshold import NoiseStudy, threshold_for
 from track_before_detect.solvers.wrap_around import once_each, strip, strip_margin
 from track_before_detect.types import Progress
 
@@ -79,14 +81,18 @@ class PathDetector(BatchDetector):
     ----------
     options : DetectorOptions
         Motion, PSF, amplitudes and threshold.
+    view : PlaneView, optional
+        How the frames of the one batch that is then searched see a common plane; without it all
+        batches come from one sensor, in its own pixels.
     """
 
     takes_any_psf = True
     weighs_pixels = True
 
-    def __init__(self, options: DetectorOptions):
+    def __init__(self, options: DetectorOptions, view: PlaneView | None = None):
         super().__init__(options)
-        self.psf = psf_of(options)
+        self._view = view
+        self.psf: Psf | PlaneView = view or psf_of(options)
         self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
         _check_motion(options)
         self.presence = presence_for(self.model) if options.presence == 'partial' else None
@@ -100,7 +106,7 @@ class PathDetector(BatchDetector):
         Where the search would take too much memory or time, the fastest motions are left out,
         with a warning.
         """
-        key = (regular_stamps(stamps).tobytes(), median_interval(stamps), shape)
+        key = (self._times(stamps).tobytes(), median_interval(stamps), shape)
         if self._kept_graph is None or self._kept_graph[0] != key:
             self._kept_graph = (key, self._new_graph(stamps, shape))
         return self._kept_graph[1]
@@ -145,8 +151,21 @@ class PathDetector(BatchDetector):
 
     def _graph(self, stamps, speed, acceleration):
         return build_state_graph(
-            regular_stamps(stamps), step_px=1 / self.psf.oversampling, max_speed=speed,
+            self._times(stamps), step_px=1 / self.psf.oversampling, max_speed=speed,
             max_acceleration=acceleration, turn_cost=self.model.turn_cost)
+
+    def _times(self, stamps):
+        """Return stamps in the unit of time of the graph."""
+        return regular_stamps(stamps) if self._view is None else exact_stamps(stamps)
+
+    def threshold(self, stamps: NDArray, shape: tuple[int, int],
+                  progress: Progress | None = None) -> float:
+        """Return the threshold for batches of this shape, calibrating it where it is unknown."""
+        if self._view is None or self.options.threshold is not None:
+            return super().threshold(stamps, shape, progress)
+        # The moments of several sensors matter, and which of them looked.
+        return threshold_for(self.noise_study(stamps, shape), shape,
+                             self.options.false_alarm_rate, progress)
 
     def _range_doppler_graph(self, stamps, shape):
         """Return the paths over range-Doppler maps."""
@@ -184,10 +203,13 @@ class PathDetector(BatchDetector):
         margin = self._margin(graph)
 
         def searcher(crop):
-            search = self._new_search(graph, (crop[0], crop[1] + 2 * margin), 1)
+            view = self._view.window(crop) if self._view else None
+            searched = (crop[0], crop[1] + 2 * margin)
+            search = self._new_search(graph, view or self.psf, searched, 1)
+            pixels = view.frame_shape if view else crop
 
             def largest(generator):
-                noise = self._noise(generator, (graph.n_frames, *crop))
+                noise = self._noise(generator, (graph.n_frames, *pixels))
                 return self.statistic(search.best_value(strip(noise, margin)), graph.n_frames)
 
             return largest
@@ -199,8 +221,9 @@ class PathDetector(BatchDetector):
 
     def _margin(self, graph):
         """Return the columns that frames are continued by beyond a seam, 0 without one."""
-        wraps = self.options.motion_model == 'range_bearing'
-        return strip_margin(graph, self.psf) if wraps else 0
+        if self.options.motion_model != 'range_bearing' or isinstance(self.psf, PlaneView):
+            return 0
+        return strip_margin(graph, self.psf)
 
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:
@@ -215,7 +238,7 @@ class PathDetector(BatchDetector):
                             ('real', 'non-negative or signed'))
             raise DataError(f'frames of {kind} numbers need amplitudes {wanted}, got '
                             f'{self.options.amplitudes}')
-        shape = frames.shape[1:]
+        shape = self._view.shape if self._view else frames.shape[1:]
         graph = self.graph(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
         margin = self._margin(graph)
@@ -227,13 +250,14 @@ class PathDetector(BatchDetector):
         if not valid.all():
             frames = np.where(valid, frames, frames.dtype.type(0))
             weights = valid.astype(np.float32) if weights is None else weights * valid
-        search = self._path_search(graph, frames.shape[1:], weights)
+        searched = self._view.shape if self._view else frames.shape[1:]
+        search = self._path_search(graph, searched, weights)
         if weights is None:
             weights = np.zeros((0, 0, 0), np.float32)
         weights = np.ascontiguousarray(weights, np.float32)
         paths = PathSet(frames, weights, self.psf, self._weight(threshold, len(frames)),
                         self.model)
-        result = self.solve(Task(graph, search, paths, regular_stamps(stamps), weights))
+        result = self.solve(Task(graph, search, paths, self._times(stamps), weights))
         if margin:
             result = replace(result, found=once_each(result.found, margin, shape[1]))
         return result
@@ -292,14 +316,14 @@ class PathDetector(BatchDetector):
         """Return the search for these paths, with its tables where the last one had them."""
         key = (shape, graph.fingerprint())
         if self._search is None or self._search[0] != key:
-            self._search = (key, self._new_search(graph, shape, usable_cores()))
+            self._search = (key, self._new_search(graph, self.psf, shape, usable_cores()))
         self._search[1].set_weights(weights)
         return self._search[1]
 
-    def _new_search(self, graph, shape, n_threads):
+    def _new_search(self, graph, psf, shape, n_threads):
         if self.presence is None:
-            return PathSearch(graph, self.psf, shape, self.model, n_threads)
-        return PartialSearch(graph, self.psf, shape, self.model, self.presence, n_threads)
+            return PathSearch(graph, psf, shape, self.model, n_threads)
+        return PartialSearch(graph, psf, shape, self.model, self.presence, n_threads)
 
 
 def psf_of(options: DetectorOptions) -> Psf:

@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels import path_search
 from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.psf import Psf
 from track_before_detect.models.state_graph import StateGraph
+from track_before_detect.solvers.mapped_scores import MappedScores
 from track_before_detect.solvers.path_table import PathTable
 from track_before_detect.solvers.position_scores import grid_shape, PositionScores
 from track_before_detect.solvers.sheared_plane import ShearedPlane
@@ -50,17 +52,17 @@ class PathSearch:
     ----------
     graph : StateGraph
         The paths.
-    psf : Psf
+    psf : Psf or PlaneView
         Its oversampling has to match the step of the graph.
     shape : tuple of int
-        (H, W) of the frames.
+        (H, W) of the frames, or of the plane that a view looks at.
     model : AmplitudeModel
         Says what a position adds to the value of a path.
     n_threads : int
         Threads that share the rows of the frames.
     """
 
-    def __init__(self, graph: StateGraph, psf: Psf, shape: tuple[int, int],
+    def __init__(self, graph: StateGraph, psf: Psf | PlaneView, shape: tuple[int, int],
                  model: AmplitudeModel, n_threads: int = 1):
         self.model = model
         self.graph = graph
@@ -69,9 +71,13 @@ class PathSearch:
         self._plane = ShearedPlane(graph, frame_grid) if graph.coupling else None
         self.grid_shape = self._plane.shape if self._plane else frame_grid
         self._table = PathTable(graph, self.grid_shape, n_threads)
-        self._scores = PositionScores(
-            psf, shape, model,
+        over_rows = (
             (lambda work: work(0, frame_grid[0])) if self._plane else self._table.over_rows)
+        self._scores: PositionScores | MappedScores
+        if isinstance(psf, PlaneView):
+            self._scores = MappedScores(psf, model, over_rows)
+        else:
+            self._scores = PositionScores(psf, shape, model, over_rows)
 
     def set_weights(self, weights: NDArray | None) -> None:
         """Tell one over the noise of each pixel of a new batch; None when all are one.

@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
 from track_before_detect.kernels import stamps as stamp_kernels
+from track_before_detect.kernels.sight import render_path
 from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.psf import Psf
 from track_before_detect.solvers.path_fit import fit_amplitudes, objective
 
@@ -33,7 +35,7 @@ class PathSet:
         Frames of unit noise, masked pixels zero.
     weights : array, shape (T, H, W), (1, H, W) or (0, 0, 0)
         One over the noise of each pixel, zero where masked; of no frames where it is one.
-    psf : Psf
+    psf : Psf or PlaneView
         What a target looks like.
     threshold : float
         lambda of a path without turns.
@@ -57,12 +59,12 @@ class PathSet:
         Frames less the fit.
     """
 
-    def __init__(self, frames: NDArray, weights: NDArray, psf: Psf, threshold: float,
-                 model: AmplitudeModel):
+    def __init__(self, frames: NDArray, weights: NDArray, psf: Psf | PlaneView,
+                 threshold: float, model: AmplitudeModel):
         self.model = model
         self.frames = frames
         self._pixel_weights = np.asarray(weights, np.float32)
-        self._optics = psf.optics()
+        self._sight = psf.sight()
         self.threshold = threshold
         self.positions: list[NDArray] = []
         self.costs: list[float] = []
@@ -255,15 +257,15 @@ class PathSet:
                                  -sign * self.amplitudes[path])
 
     def _render(self, positions):
-        size = 2 * self._optics.half + 1
+        size = 2 * max(optics.half for optics in self._sight.optics) + 1
         n_frames, height, width = self.frames.shape
         stamps = np.empty((n_frames, size, size))
         origins = np.empty((n_frames, 2), np.int64)
         norms = np.empty(n_frames)
         absent = ~np.isfinite(positions[:, 0])
         there = np.where(absent[:, None], 0.0, positions)
-        stamp_kernels.render(self._optics, there, height, width, self._pixel_weights, stamps,
-                             origins, norms)
+        render_path(self._sight, there, height, width, self._pixel_weights, stamps, origins,
+                    norms)
         stamps[absent] = 0.0
         norms[absent] = 0.0
         return stamps, origins, norms

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.climb import best_amplitudes, climb
-from track_before_detect.kernels.stamps import statistic_and_slope
+from track_before_detect.kernels.sight import look
 from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.psf import Psf
 from track_before_detect.models.state_graph import StateGraph
 from track_before_detect.solvers.motions import motions_of
@@ -30,7 +31,7 @@ class Refiner:
     ----------
     graph : StateGraph
         Bounds the speed and prices the turns.
-    psf : Psf
+    psf : Psf or PlaneView
         What a target looks like.
     stamps : array, shape (T,)
         In the unit of time of the graph.
@@ -40,9 +41,10 @@ class Refiner:
         Of the amplitudes.
     """
 
-    def __init__(self, graph: StateGraph, psf: Psf, stamps: NDArray,
+    def __init__(self, graph: StateGraph, psf: Psf | PlaneView, stamps: NDArray,
                  weights: NDArray, model: AmplitudeModel):
-        self._optics = psf.optics(psf.curvature)
+        self._psf = psf
+        self._sight = psf.sight(for_climbing=True)
         self._weights = np.asarray(weights, np.float32)
         self._model = model
         self._motions = motions_of(graph, stamps)
@@ -64,12 +66,13 @@ class Refiner:
         t_convex : float
             Place on the continuation.
         """
+        limits = self._psf.limits(frames.shape[1:])
         squared = float(self.gains(frames, positions).sum())
         best = (self.lowers(squared, cost, threshold, t_convex) + LEAST_GAIN, positions, cost)
         for start, basis, family_cost in self._motions.candidates(positions, cost):
             moved = np.array(start)
-            value = climb(moved, basis, self._optics, frames, self._weights, self._model.code,
-                          MOST_STEPS)
+            value = climb(moved, basis, self._sight, limits, frames, self._weights,
+                          self._model.code, MOST_STEPS)
             if not self._motions.allowed(moved):
                 continue
             moved_cost = family_cost
@@ -84,8 +87,7 @@ class Refiner:
         """Return what each frame adds to the squared statistic of a path, shape (T,)."""
         seen = np.empty((len(positions), 3))
         norms = np.empty(len(positions))
-        statistic_and_slope(self._optics, positions, frames, self._weights, self._model.code, seen,
-                            norms)
+        look(self._sight, positions, frames, self._weights, self._model.code, seen, norms)
         amplitudes = np.empty(len(positions))
         best_amplitudes(seen, norms, self._model.code, amplitudes)
         return amplitudes**2

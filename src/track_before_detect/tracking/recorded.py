@@ -30,6 +30,13 @@ class FrameSequence(Protocol):
         """Return one frame, shape (H, W)."""
 
 
+class BatchPipeline(Protocol):
+    """What finds the trajectories of successive batches."""
+
+    def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
+        """Find the trajectories of one batch, with the ids of the batches before."""
+
+
 def batch_starts(n_frames: int, length: int, hop: int) -> list[int]:
     """Return the first frame of each batch; the last batch ends with the last frame."""
     if n_frames <= length:
@@ -41,7 +48,8 @@ def batch_starts(n_frames: int, length: int, hop: int) -> list[int]:
 
 
 def detect_recording(recording: FrameSequence, options: DetectorOptions,
-                     progress: Progress | None = None) -> DetectionResult:
+                     progress: Progress | None = None,
+                     pipeline: BatchPipeline | None = None) -> DetectionResult:
     """Find all trajectories of a recording.
 
     Parameters
@@ -52,6 +60,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         ``batch_length`` None takes the whole recording as one batch, ``hop`` None half a batch.
     progress : callable, optional
         Called with a label and the share done, 0 to 1.
+    pipeline : BatchPipeline, optional
+        Searches the batches; that of a single sensor unless given.
 
     Returns
     -------
@@ -64,7 +74,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     hop = min(options.hop or max(1, length // 2), length)
     starts = batch_starts(n_frames, length, hop)
     stamps = np.asarray(recording.stamps, float)
-    pipeline = TrackingPipeline(options)
+    pipeline = pipeline or TrackingPipeline(options)
     joined = _Joined(stamps)
     history: list[Step] = []
     status, threshold, gap = 'converged', 0.0, float('nan')
