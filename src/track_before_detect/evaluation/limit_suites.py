@@ -230,6 +230,7 @@ def _draw_accuracy(figure, curves):
         axes.semilogy(rmse, 'o-', color=colour, markersize=4, label=f'SNR {snr:g}')
         axes.semilogy(cramer_rao(snr), '--', color=colour, linewidth=1)
     axes.semilogy([], [], '--', color=_GREY, label='Cramér-Rao bound')
+    axes.set_xticks(range(0, N_FRAMES, 5))
     axes.set_xlabel('frame')
     axes.set_ylabel('RMSE of one coordinate [px]')
     axes.grid(alpha=0.3, which='both')
