@@ -128,7 +128,7 @@ def _quantities(found, names, leaders, alarms):
             quantities.append(Quantity(
                 f'{label}, SNR {snr:g}: best method', float(by_run[:, leader].mean()),
                 *bootstrap_interval(by_run[:, leader], lambda drawn: float(drawn.mean())),
-                len(by_run), 'batches', '%', names[leader]))
+                len(by_run), 'batches', '%', '; '.join(_equal_to(leader, by_run, names))))
             gain = by_run[:, ours] - by_run[:, rival]
             low, high = bootstrap_interval(gain, lambda drawn: float(drawn.mean()))
             quantities.append(Quantity(
@@ -143,6 +143,13 @@ def _quantities(found, names, leaders, alarms):
                                     int(hit.sum()), len(hit), 'batches',
                                     f'requested: {100 * RATE:g} %'))
     return quantities
+
+
+def _equal_to(leader, by_run, names):
+    """Return the best method, and those that find no less."""
+    means = by_run.mean(axis=0)
+    return [names[leader], *(name for number, name in enumerate(names)
+                             if number != leader and means[number] >= means[leader])]
 
 
 def _verdict(gain, low, high):
@@ -196,15 +203,19 @@ def _draw(figure, means, names):
 
 
 def _draw_scenes(figure):
-    """Draw one example of each scene."""
+    """Draw one example of each scene, from the first frame (dark) to the last."""
     figure.set_size_inches(11, 5.8)
     for number, (axes, (label, make)) in enumerate(
             zip(figure.subplots(2, 4).ravel(), SCENES.items(), strict=True)):
-        _, height, width = compare_runs.shape_of(label)
-        for path in make(np.random.default_rng(number)):
-            axes.plot(*path.T, '-', linewidth=1)
-            axes.plot(*path.T, '.', color='black', markersize=3)
-        axes.set_xlim(-0.5, width - 0.5)
-        axes.set_ylim(height - 0.5, -0.5)
+        paths = make(np.random.default_rng(number))
+        low, high = np.nanmin(paths, axis=(0, 1)), np.nanmax(paths, axis=(0, 1))
+        half = 0.5 * (high - low).max() + 4
+        for path in paths:
+            axes.scatter(*path.T, c=np.arange(len(path)), s=14, cmap='plasma')
+        for limits, middle in ((axes.set_xlim, 0.5 * (low + high)[0]),
+                               (axes.set_ylim, 0.5 * (low + high)[1])):
+            limits(middle - half, middle + half)
+        axes.invert_yaxis()
         axes.set_aspect('equal')
         axes.set_title(label, fontsize='medium')
+        axes.grid(alpha=0.25)
