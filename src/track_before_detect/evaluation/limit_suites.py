@@ -225,7 +225,7 @@ def _draw_dim(figure, rows: Sequence[Mapping[str, Any]], cases):
     axes.set_ylim(0, 105)
     axes.set_ylabel(f'targets found at {100 * RATE:g} % false alarms [%]')
     axes.spines[['top', 'right']].set_visible(False)
-    figure.legend(loc='outside upper center', ncols=4, frameon=False)
+    figure.legend(loc='outside upper center', ncols=2, frameon=False)
 
 
 def _draw_accuracy(figure, curves):
