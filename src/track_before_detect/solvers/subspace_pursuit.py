@@ -48,6 +48,9 @@ MOVING_ROUNDS = 3
 SIDE_BY_SIDE = 0.3
 # Duality gap of the amplitudes of a convex solution that is the result.
 CERTIFIED_GAP = 1e-9
+# The same for a stage before the last, as a share of what a path has to gain: it only starts the
+# next, and among many bright neighbours the last digits take most of the time.
+STAGE_GAP = 1e-3
 
 
 @dataclass(frozen=True)
@@ -171,7 +174,11 @@ class _Stage:
         # Moving the many neighbours of a bright target until they settle would be wasted before
         # the last stage: most vanish in the next.
         self._certified = last and t_convex == 1.0
-        self._fit_gap = CERTIFIED_GAP if self._certified else FIT_GAP
+        if self._certified:
+            self._fit_gap = CERTIFIED_GAP
+        else:
+            self._fit_gap = FIT_GAP if last else STAGE_GAP * paths.threshold**2
+        self._last = last
         self._most_passes = MOST_PASSES if last and t_convex < 1 else 1
 
     def run(self, tolerance, most_rounds, history):
@@ -274,8 +281,11 @@ class _Stage:
                 if path is None:
                     continue
                 if not self._remove_if_better(path) and self._refine(path):
-                    self._fit(paths.neighbours(path))
+                    # A stage before the last fits its neighbours once, when all have moved.
+                    self._fit(paths.neighbours(path) if self._last else np.array([path]))
             self._drop_empty()
+            if not self._last:
+                fitted = self._fit_all()
             if before - paths.objective(self._t) < WORTHWHILE:
                 break
         if self._t < 1:
