@@ -55,11 +55,10 @@ def test_bad_options_are_named(options, message):
         tbd.detect(FRAMES, **options)
 
 
-@pytest.mark.parametrize('speed', [1e4, 1e9])
-def test_absurd_speed_is_cut_to_what_can_be_searched(speed, caplog):
+def test_absurd_speed_is_cut_to_what_can_be_searched(caplog):
     frames = np.zeros((5, 32, 32))
     frames[:, 16, 16] = 20.0
-    assert len(tbd.detect(frames, threshold=12, max_speed_px_s=speed).trajectories) == 1
+    assert len(tbd.detect(frames, threshold=12, max_speed_px_s=1e9).trajectories) == 1
     assert 'would be too large' in caplog.text
 
 

@@ -265,8 +265,8 @@ def _solve(pairs, members, half_switch, weights, duals):
             shape=(len(names) * n_frames, n_weights)))
         nodes.append(names)
     capacity = sparse.vstack(blocks)
-    step = sparse.diags_array([-np.ones(n_frames - 1), np.ones(n_frames - 1)], offsets=[0, 1],
-                              shape=(n_frames - 1, n_frames))
+    step = sparse.diags([-np.ones(n_frames - 1), np.ones(n_frames - 1)], offsets=[0, 1],
+                        shape=(n_frames - 1, n_frames))
     differences = sparse.kron(sparse.identity(len(members)), step)
     rises = sparse.identity(n_changes)
     solution = linprog(

@@ -221,7 +221,9 @@ class _Batch:
 
     def __init__(self, frames, weights, psf, stack, signed):
         self._psf = psf
-        self._optics = psf.optics(psf.curvature)
+        self._sight = psf.sight(for_climbing=True)
+        self._optics = self._sight.optics[0]
+        self._limits = psf.limits(frames.shape[1:])
         self._model = SIGNED_CONSTANT if signed else CONSTANT
         valid = np.isfinite(frames)
         self._residual = np.ascontiguousarray(np.where(valid, frames, 0), np.float32)
@@ -263,8 +265,8 @@ class _Batch:
         basis = np.zeros((part.stop - part.start, 2, 2 * columns.shape[1]))
         basis[:, 0, :columns.shape[1]] = basis[:, 1, columns.shape[1]:] = columns[part]
         moved = start.positions[part].copy()
-        climb(moved, basis, self._optics, self._residual[part], self._weights[part], self._model,
-              MOST_STEPS)
+        climb(moved, basis, self._sight, self._limits, self._residual[part], self._weights[part],
+              self._model, MOST_STEPS)
         fit = np.linalg.lstsq(columns[part], moved, rcond=None)[0]
         velocity = fit[1] / scale if len(fit) > 1 else np.zeros(2)
         grid = self.stack.grid
