@@ -1,5 +1,8 @@
 """Errors this package raises on purpose."""
 
+from collections.abc import Iterable
+import difflib
+
 
 class TbdError(Exception):
     """Root of every error raised on purpose by this package."""
@@ -15,3 +18,10 @@ class DataError(TbdError, ValueError):
 
 class MissingExtraError(TbdError, ImportError):
     """An optional dependency is needed for what was asked and is not installed."""
+
+
+def suggestion(name: object, known: Iterable[str]) -> str:
+    """Return what to say after a name that is not known: the nearest one, or all there are."""
+    names = list(known)
+    close = difflib.get_close_matches(str(name), names, n=1)
+    return f'did you mean {close[0]}?' if close else f'known: {", ".join(names)}'

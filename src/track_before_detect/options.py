@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.given_array import given_array, GivenArray
 
 DETECTORS = ('convex', 'greedy', 'cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_dpr', 'mff_dpr',
@@ -141,9 +141,7 @@ class DetectorOptions:
         names = [field.name for field in dataclasses.fields(cls)]
         for name in values:
             if name not in names:
-                close = difflib.get_close_matches(str(name), names, n=1)
-                hint = f'; did you mean {close[0]}?' if close else f'; known: {", ".join(names)}'
-                raise ParameterError(f'unknown option {name!r}{hint}')
+                raise ParameterError(f'unknown option {name!r}; {suggestion(name, names)}')
         return cls(**values)
 
     def replace(self, **changes) -> DetectorOptions:

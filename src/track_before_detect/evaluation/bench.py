@@ -14,10 +14,10 @@ import signal
 import sys
 from typing import Any
 
-from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.errors import DataError
 from track_before_detect.evaluation import bench_search
 from track_before_detect.evaluation.machine import describe_machine, machine_line
-from track_before_detect.evaluation.timing import summary, timed
+from track_before_detect.evaluation.timing import aligned, checked_repeats, in_ms, summary, timed
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
@@ -86,8 +86,7 @@ def bench_convex(repeats: int, cases: Sequence[Case], progress: Progress,
         ``bench``, ``seed``, ``repeats``, ``machine``, ``cases`` and ``searches``; times in
         seconds, memory in bytes.
     """
-    if repeats < 1:
-        raise ParameterError(f'repeats must be at least 1, got {repeats}')
+    checked_repeats(repeats)
     measured = []
     n_all = len(cases) + len(searches)
     for number, case in enumerate(cases):
@@ -174,7 +173,7 @@ def bench_table(measured: Mapping[str, Any]) -> str:
         f'{case["n_velocities"]} velocities x {case["n_positions"]} positions'
         for case in measured['cases']))
     lines = [
-        *_aligned(rows), '',
+        *aligned(rows), '',
         f'Times in ms, least of {measured["repeats"]} (median in brackets); * on one thread.',
         f'A state is a position and a velocity in one frame ({sizes}); "copy" is that of the',
         'score volume, a float for each of them.']
@@ -182,19 +181,12 @@ def bench_table(measured: Mapping[str, Any]) -> str:
         alone = [('grid', 'search alone*', 'ms', 'ns/state', 'ns/weight computed',
                  'over copy of volume', 'over copy of weights computed'),
                 *bench_search.search_rows(measured['searches'])]
-        lines += ['', *_aligned(alone)]
+        lines += ['', *aligned(alone)]
     return '\n'.join([*lines, f'{machine_line()}.'])
 
 
-def _aligned(rows):
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ['  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-            for row in rows]
-
-
 def _ms(times):
-    digits = 1 if times['min'] < 0.1 else 0
-    return f'{1e3 * times["min"]:.{digits}f} ({1e3 * times["median"]:.{digits}f})'
+    return in_ms(times, 1 if times['min'] < 0.1 else 0)
 
 
 def _peak_memory():

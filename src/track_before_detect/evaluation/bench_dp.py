@@ -11,10 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.machine import describe_machine, machine_line
 from track_before_detect.evaluation.numpy_merit import numpy_merit_functions
-from track_before_detect.evaluation.timing import summary, timed
+from track_before_detect.evaluation.timing import aligned, checked_repeats, in_ms, summary, timed
 from track_before_detect.models.velocity_candidates import straight_lines, whole_velocities
 from track_before_detect.solvers.merit_functions import merit_functions
 from track_before_detect.types import Progress
@@ -53,8 +52,7 @@ def measure_dp(repeats: int, large: bool, progress: Progress) -> dict[str, Any]:
     dict
         ``bench``, ``seed``, ``repeats``, ``machine`` and ``cases``; times in seconds a frame.
     """
-    if repeats < 1:
-        raise ParameterError(f'repeats must be at least 1, got {repeats}')
+    checked_repeats(repeats)
     cases = [(side, order, v_max)
              for side in ([PAPER_SIDE_PX, LARGE_SIDE_PX] if large else [PAPER_SIDE_PX])
              for v_max in SPEEDS for order in ORDERS]
@@ -120,9 +118,7 @@ def dp_table(measured: Mapping[str, Any]) -> str:
                 '' if ring else _ms(case['numpy']['cpu_s']),
                 '' if ring else f'{ratio["of_minima"]:.1f} ({ratio["median"]:.1f})',
                 str(case['paper_ms'][ring]) if case['paper_ms'] else ''))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ['  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-             for row in rows]
+    lines = aligned(rows)
     lines += [
         f'Times in ms a frame, least of {measured["repeats"]} (median in brackets); ratios and '
         'NumPy by CPU time.',
@@ -133,4 +129,4 @@ def dp_table(measured: Mapping[str, Any]) -> str:
 
 
 def _ms(times):
-    return f'{1e3 * times["min"]:.3f} ({1e3 * times["median"]:.3f})'
+    return in_ms(times, 3)

@@ -14,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation import parallel_scenes
 from track_before_detect.evaluation.machine import describe_machine, machine_line
 from track_before_detect.evaluation.paper_metrics import track_errors
 from track_before_detect.evaluation.parallel_scenes import ParallelScene
-from track_before_detect.evaluation.timing import summary, timed
+from track_before_detect.evaluation.timing import aligned, checked_repeats, in_ms, summary, timed
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.transition_sets import directional_sets, TransitionSets
 from track_before_detect.solvers.measurements import cores, measure, Merit
@@ -65,8 +64,7 @@ def measure_parallel(repeats: int, large: bool, progress: Progress) -> dict[str,
     progress : callable
         Called with a label and the share done, 0 to 1.
     """
-    if repeats < 1:
-        raise ParameterError(f'repeats must be at least 1, got {repeats}')
+    checked_repeats(repeats)
     measured = []
     for number, case in enumerate(CASES):
         progress('measuring', number / len(CASES))
@@ -174,9 +172,7 @@ def parallel_table(measured: Mapping[str, Any]) -> str:
                 _ratio(case, 'plain_of_slowest', name), f'{case["eq_18"]:.3f}' if pc else '',
                 _ms(alone['wall_s']), _ms(alone['cpu_s']),
                 _ms(case['times']['pc_dp, 2 threads']['wall_s']) if pc else ''))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ['  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-             for row in rows]
+    lines = aligned(rows)
     statistic = ', '.join(f'{_ms(case["times"]["statistic"]["wall_s"])} for {case["name"]}'
                           for case in measured['cases'])
     lines += [
@@ -198,4 +194,4 @@ def _millions(count):
 
 
 def _ms(times):
-    return f'{1e3 * times["min"]:.2f} ({1e3 * times["median"]:.2f})'
+    return in_ms(times, 2)

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.machine import describe_machine, machine_line
-from track_before_detect.evaluation.timing import summary, timed
+from track_before_detect.evaluation.timing import aligned, checked_repeats, in_ms, summary, timed
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.velocity_grid import velocity_grid, VelocityGrid
 from track_before_detect.solvers.measurements import measure
@@ -38,8 +37,7 @@ def measure_velocity(repeats: int, large: bool, progress: Progress) -> dict[str,
     progress : callable
         Called with a label and the share done, 0 to 1.
     """
-    if repeats < 1:
-        raise ParameterError(f'repeats must be at least 1, got {repeats}')
+    checked_repeats(repeats)
     sides = SIDES_PX if large else SIDES_PX[:1]
     measured = []
     for number, side in enumerate(sides):
@@ -112,9 +110,7 @@ def velocity_table(measured: Mapping[str, Any]) -> str:
             str(case['n_velocities']), _ms(case['psi_and_phi']['wall_s']), _ms(alone['wall_s']),
             _ms(alone['cpu_s']), _ms(case['search']['2']['wall_s']), _ms(case['numpy']['cpu_s']),
             f'{case["numpy"]["cpu_s"]["min"] / alone["cpu_s"]["min"]:.1f}'))
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = ['  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-             for row in rows]
+    lines = aligned(rows)
     case = measured['cases'][0]
     lines += [
         f'Times in ms, least of {measured["repeats"]} (median in brackets); a variance for each '
@@ -128,4 +124,4 @@ def velocity_table(measured: Mapping[str, Any]) -> str:
 
 
 def _ms(times):
-    return f'{1e3 * times["min"]:.1f} ({1e3 * times["median"]:.1f})'
+    return in_ms(times, 1)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-import difflib
 from typing import Any
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.evaluation.bench import bench_table, measure_convex
 from track_before_detect.evaluation.bench_dp import dp_table, measure_dp
 from track_before_detect.evaluation.bench_parallel import measure_parallel, parallel_table
@@ -43,7 +42,5 @@ BENCHES: dict[str, Bench] = {
 def bench_named(name: str) -> Bench:
     """Return a bench, or say which there are."""
     if name not in BENCHES:
-        close = difflib.get_close_matches(name, BENCHES, n=1)
-        hint = f'did you mean {close[0]}?' if close else f'known: {", ".join(BENCHES)}'
-        raise ParameterError(f'unknown bench {name!r}; {hint}')
+        raise ParameterError(f'unknown bench {name!r}; {suggestion(name, BENCHES)}')
     return BENCHES[name]

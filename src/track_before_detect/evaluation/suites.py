@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-import difflib
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.evaluation.compare_suite import run_compare
 from track_before_detect.evaluation.detection_suite import run_detection
 from track_before_detect.evaluation.limit_suites import run_accuracy, run_dim, run_false_alarms
@@ -75,7 +74,5 @@ SUITES: dict[str, Suite] = {
 def suite_named(name: str) -> Suite:
     """Return a suite, or say which there are."""
     if name not in SUITES:
-        close = difflib.get_close_matches(name, SUITES, n=1)
-        hint = f'did you mean {close[0]}?' if close else f'known: {", ".join(SUITES)}'
-        raise ParameterError(f'unknown suite {name!r}; {hint}')
+        raise ParameterError(f'unknown suite {name!r}; {suggestion(name, SUITES)}')
     return SUITES[name]

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 import time
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from track_before_detect.errors import ParameterError
+
+
+def checked_repeats(repeats: int) -> None:
+    """Refuse a number of measurements that nothing can be measured with."""
+    if repeats < 1:
+        raise ParameterError(f'repeats must be at least 1, got {repeats}')
 
 
 def timed(stages: Sequence[Callable[[], Any]], repeats: int) -> NDArray[np.float64]:
@@ -29,3 +37,15 @@ def summary(seconds: NDArray) -> dict[str, dict[str, float]]:
     return {clock: {'min': float(seconds[:, column].min()),
                     'median': float(np.median(seconds[:, column]))}
             for column, clock in enumerate(('wall_s', 'cpu_s'))}
+
+
+def in_ms(times: Mapping[str, float], digits: int) -> str:
+    """Return one clock of :func:`summary` as text: the least in ms, the median in brackets."""
+    return f'{1e3 * times["min"]:.{digits}f} ({1e3 * times["median"]:.{digits}f})'
+
+
+def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+    """Return the lines of a table whose columns end below each other."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    return ['  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
+            for row in rows]

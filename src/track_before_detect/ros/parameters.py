@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-import difflib
 import math
 from typing import Any
 
@@ -25,7 +24,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.options import describe, DetectorOptions
 
 INT32_MAX = 2**31 - 1
@@ -273,9 +272,7 @@ class ParameterizedNode(Node):
         return checked
 
     def _unknown(self, name):
-        close = difflib.get_close_matches(name, self._table, n=1)
-        hint = f'; did you mean {close[0]}?' if close else f'; known: {", ".join(self._table)}'
-        return f'unknown parameter {name!r}{hint}'
+        return f'unknown parameter {name!r}; {suggestion(name, self._table)}'
 
 
 def _is_neutral(value):

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable
 import dataclasses
 from dataclasses import dataclass
-import difflib
 import math
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.simulation.sensor import add_target
 
 _MAX_TRIES = 5000
@@ -218,15 +217,12 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
 def _overridden(name, overrides):
     """Return the scenario of that name with some parameters changed."""
     if name not in SCENARIOS:
-        close = difflib.get_close_matches(str(name), SCENARIOS, n=1)
-        hint = f'did you mean {close[0]}?' if close else f'known: {", ".join(SCENARIOS)}'
-        raise ParameterError(f'unknown scenario {name!r}; {hint}')
+        raise ParameterError(f'unknown scenario {name!r}; {suggestion(name, SCENARIOS)}')
     names = [field.name for field in dataclasses.fields(Scenario) if field.metadata]
     for key in overrides:
         if key not in names:
-            close = difflib.get_close_matches(key, names, n=1)
-            hint = f'did you mean {close[0]}?' if close else f'known: {", ".join(names)}'
-            raise ParameterError(f'unknown parameter {key!r} of a scenario; {hint}')
+            raise ParameterError(
+                f'unknown parameter {key!r} of a scenario; {suggestion(key, names)}')
     return dataclasses.replace(SCENARIOS[name], **overrides)
 
 
