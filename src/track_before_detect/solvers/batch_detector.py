@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.threshold import NoiseStudy, threshold_for
 from track_before_detect.types import Progress, Step
@@ -97,6 +97,21 @@ class BatchDetector(ABC):
         threshold = threshold_for(study, shape, self.options.false_alarm_rate, progress)
         known.append((interval, threshold))
         return threshold
+
+    def max_speed(self, stamps: NDArray) -> float:
+        """Return the largest speed that is searched, px/s."""
+        if self.options.motion_model == 'static' or len(stamps) == 1:
+            return 0.0
+        speed = self.options.max_speed_px_s
+        return 1.0 / median_interval(stamps) if speed is None else speed
+
+    def check_kind(self, frames: NDArray) -> None:
+        """Refuse complex frames for real amplitudes, and real ones for complex amplitudes."""
+        if np.iscomplexobj(frames) != (self.options.amplitudes == 'complex'):
+            kind, wanted = (('complex', 'complex') if np.iscomplexobj(frames) else
+                            ('real', 'non-negative or signed'))
+            raise DataError(f'frames of {kind} numbers need amplitudes {wanted}, got '
+                            f'{self.options.amplitudes}')
 
     @abstractmethod
     def noise_study(self, stamps: NDArray, shape: tuple[int, int]) -> NoiseStudy:

@@ -136,13 +136,8 @@ class MeritDetector(BatchDetector):
     def _v_max(self, stamps, shape):
         """Return the largest velocity in whole pixels per frame interval."""
         name = self._method.name
-        if self.options.motion_model == 'static':
-            return 0
-        speed = self.options.max_speed_px_s
-        if speed is None:
-            return 1
         # What rounding adds to a whole number is not a pixel more.
-        per_frame = speed * median_interval(stamps)
+        per_frame = self.max_speed(stamps) * median_interval(stamps)
         v_max = math.ceil(min(per_frame, max(shape)) - 1e-6)
         if self._method.order != 'cfo' and v_max > FASTEST_SECOND_ORDER:
             raise ParameterError(

@@ -18,14 +18,13 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.errors import ParameterError
 from track_before_detect.models.transition_sets import directional_sets, TransitionSets
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
     FoundTrajectory,
-    median_interval,
 )
 from track_before_detect.solvers.measurements import cores, measure, Merit
 from track_before_detect.solvers.path_detector import psf_of
@@ -35,7 +34,7 @@ from track_before_detect.solvers.target_cancellation import (
     TargetSearch,
     Track,
 )
-from track_before_detect.solvers.threshold import NoiseStudy
+from track_before_detect.solvers.threshold import noise_frames, NoiseStudy
 from track_before_detect.types import Progress, Step
 
 MOTIONS = ('nearly_constant_velocity', 'static')
@@ -81,13 +80,7 @@ class MtDpDetector(BatchDetector):
 
     def transition_sets(self, stamps: NDArray) -> list[TransitionSets]:
         """Return the transition sets that are searched apart from each other."""
-        interval = median_interval(stamps)
-        speed = self.options.max_speed_px_s
-        if speed is None:
-            speed = 1.0 / interval
-        if self.options.motion_model == 'static':
-            speed = 0.0
-        steps = speed * np.diff(stamps, prepend=stamps[0])
+        steps = self.max_speed(stamps) * np.diff(stamps, prepend=stamps[0])
         # A speed that makes two pixels of an interval but for rounding makes no third.
         reaches = np.ceil(steps - 1e-6).astype(int)
         return directional_sets(reaches, self.n_directions)
@@ -99,10 +92,7 @@ class MtDpDetector(BatchDetector):
 
         def searcher(crop):
             def largest(generator):
-                noise = generator.standard_normal((len(stamps), *crop), np.float32)
-                if self._complex:
-                    noise = (noise + 1j * generator.standard_normal(noise.shape, np.float32)
-                             ) / np.float32(math.sqrt(2))
+                noise = noise_frames(generator, (len(stamps), *crop), self._complex)
                 search = TargetSearch(measure(noise, self.psf), self._cores, self.merit)
                 return self.merit.statistic(search.largest_merit(directions), len(stamps))
 
@@ -123,11 +113,7 @@ class MtDpDetector(BatchDetector):
     def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
                         progress: Progress | None = None) -> BatchResult:
         """Find the trajectories where the noise differs between pixels."""
-        if np.iscomplexobj(frames) != self._complex:
-            kind, wanted = (('complex', 'complex') if np.iscomplexobj(frames) else
-                            ('real', 'non-negative or signed'))
-            raise DataError(f'frames of {kind} numbers need amplitudes {wanted}, '
-                            f'got {self.options.amplitudes!r}')
+        self.check_kind(frames)
         threshold = self.threshold(stamps, frames.shape[1:], progress)
         search = TargetSearch(measure(frames, self.psf, weights), self._cores, self.merit)
         return self.solve(search, self.transition_sets(stamps), threshold, len(stamps))

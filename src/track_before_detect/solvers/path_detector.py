@@ -10,7 +10,7 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
 from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.presence import frames_seen_in, presence_for
@@ -32,7 +32,7 @@ from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.partial_search import PartialSearch
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
-from track_before_detect.solvers.threshold import NoiseStudy, threshold_for
+from track_before_detect.solvers.threshold import noise_frames, NoiseStudy, threshold_for
 from track_before_detect.solvers.wrap_around import once_each, strip, strip_margin
 from track_before_detect.types import Progress
 
@@ -116,11 +116,7 @@ class PathDetector(BatchDetector):
         interval = median_interval(stamps)
         if options.motion_model == 'range_doppler':
             return self._range_doppler_graph(stamps, shape)
-        speed = options.max_speed_px_s
-        if speed is None:
-            speed = 1.0 / interval
-        if options.motion_model == 'static' or len(stamps) == 1:
-            speed = 0.0
+        speed = self.max_speed(stamps)
         acceleration = options.max_acceleration_px_s2
         if acceleration is None:
             acceleration = speed / (INTERVALS_TO_MAX_SPEED * interval)
@@ -209,7 +205,8 @@ class PathDetector(BatchDetector):
             pixels = view.frame_shape if view else crop
 
             def largest(generator):
-                noise = self._noise(generator, (graph.n_frames, *pixels))
+                noise = noise_frames(generator, (graph.n_frames, *pixels),
+                                     self.model.is_complex)
                 return self.statistic(search.best_value(strip(noise, margin)), graph.n_frames)
 
             return largest
@@ -233,11 +230,7 @@ class PathDetector(BatchDetector):
     def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
                         progress: Progress | None = None) -> BatchResult:
         """Find the trajectories where the noise differs between pixels."""
-        if np.iscomplexobj(frames) != self.model.is_complex:
-            kind, wanted = (('complex', 'complex') if np.iscomplexobj(frames) else
-                            ('real', 'non-negative or signed'))
-            raise DataError(f'frames of {kind} numbers need amplitudes {wanted}, got '
-                            f'{self.options.amplitudes}')
+        self.check_kind(frames)
         shape = self._view.shape if self._view else frames.shape[1:]
         graph = self.graph(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
@@ -261,13 +254,6 @@ class PathDetector(BatchDetector):
         if margin:
             result = replace(result, found=once_each(result.found, margin, shape[1]))
         return result
-
-    def _noise(self, generator, shape):
-        noise = generator.standard_normal(shape, dtype=np.float32)
-        if not self.model.is_complex:
-            return noise
-        imaginary = generator.standard_normal(shape, dtype=np.float32)
-        return (noise + 1j * imaginary) * np.float32(0.5**0.5)
 
     def statistic(self, value: float, n_frames: int) -> float:
         """Return the statistic of a path that is compared with the threshold.

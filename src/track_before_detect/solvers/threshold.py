@@ -18,6 +18,7 @@ import tempfile
 import threading
 
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.types import Progress
@@ -60,6 +61,16 @@ class NoiseStudy:
     area: Callable[[tuple[int, int]], float]
     searcher: Callable[[tuple[int, int]], Callable[[np.random.Generator], float]]
     whole_width: bool = False
+
+
+def noise_frames(generator: np.random.Generator, shape: tuple[int, ...],
+                 is_complex: bool) -> NDArray:
+    """Draw noise of unit variance, float32 or complex64, for a searcher of a study."""
+    noise = generator.standard_normal(shape, dtype=np.float32)
+    if not is_complex:
+        return noise
+    imaginary = generator.standard_normal(shape, dtype=np.float32)
+    return (noise + 1j * imaginary) * np.float32(0.5**0.5)
 
 
 def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,

@@ -121,13 +121,8 @@ class VelocityFilterDetector(BatchDetector):
         Where the search would take too much time, the fastest are left out, with a warning.
         """
         interval = median_interval(stamps)
-        speed = self.options.max_speed_px_s
-        if speed is None:
-            speed = 1.0 / interval
-        if self.options.motion_model == 'static' or len(stamps) == 1:
-            speed = 0.0
         # What crosses the frame in one interval is as fast as can be seen.
-        speed = float(f'{min(speed, float(np.hypot(*shape)) / interval):.3g}')
+        speed = float(f'{min(self.max_speed(stamps), float(np.hypot(*shape)) / interval):.3g}')
         span = float(stamps[-1] - stamps[0])
         most = math.sqrt(MOST_ADDITIONS / (math.pi * shape[0] * shape[1] * len(stamps)))
         fitting = min(speed, most / span) if span > 0 else 0.0
