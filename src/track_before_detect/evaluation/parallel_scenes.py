@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 N_FRAMES = 6
 SHAPE = (50, 50)
-# Section 4.1: two targets that cross.
-CROSSING_STATES = ((30.8, 0.9, 13.1, 1.0), (30.8, 1.0, 20.1, -1.0))
 # Section 4.2: targets 1 and 2 cross, 4 and 5 move side by side, 3 and 6 are on their own.
 SIX_STATES = (
     (13.1, 1.0, 30.8, 0.9), (20.1, -1.0, 30.8, 1.0), (10.1, 1.0, 10.8, 0.9),
@@ -61,12 +59,6 @@ def six_targets(snr_db: float, rng: np.random.Generator,
         targets move as drawn in Fig. 6.
     """
     return draw_scene(SIX_STATES, snr_db, rng, intensity=intensity)
-
-
-def crossing_targets(snr_db: float, rng: np.random.Generator,
-                     intensity: float = 0.0) -> ParallelScene:
-    """Draw the scene of section 4.1, Fig. 4: two targets that cross, at 10 dB; as above."""
-    return draw_scene(CROSSING_STATES, snr_db, rng, intensity=intensity)
 
 
 def many_targets(n_targets: int, snr_db: float, rng: np.random.Generator,

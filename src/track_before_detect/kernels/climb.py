@@ -57,7 +57,7 @@ def climb(positions, basis, sight, limits, frames, weights, model, most_steps):
     sight : Sight, see the module ``sight``
     limits : float64 (2,), largest x and y
     frames, weights : as in the module ``stamps``
-    model : amplitude model, see the function ``shrink``
+    model : amplitude model, see the module ``amplitude_codes``
 
     Returns the squared statistic reached.
     """

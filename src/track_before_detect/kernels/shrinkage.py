@@ -1,40 +1,17 @@
 """Group shrinkage in information form: the amplitudes of one path, all others fixed.
 
-Where the columns of a path have one norm in all frames it has the closed form of Algorithm 2;
-where they have not, or frames have weights of their own, the norm of the solution is found on a
-line (Algorithm 1).
+Where the columns of a path have one norm in all frames it has the closed form of Algorithm 2 (see
+the sweeps of ``group_lasso``); where they have not, or frames have weights of their own, the norm
+of the solution is found on a line (Algorithm 1).
 """
 
 import math
 
 import numba
 
-from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE
-
 _COMPILE = {'nogil': True, 'cache': True}
 # Newton steps on a concave function of one variable; a handful settle all digits.
 MOST_LINE_STEPS = 60
-
-
-@numba.njit(**_COMPILE)
-def shrink(row, weight, model):
-    """Shrink a vector of amplitudes towards zero by ``weight``, in place (Patent Eq. 14-15).
-
-    ``model`` is NON_NEGATIVE, SIGNED or CONSTANT (see the module ``amplitudes`` of the models).
-    """
-    if model == CONSTANT:
-        mean = max(row.sum() / row.size, 0.0)
-        for t in range(row.size):
-            row[t] = mean
-    total = 0.0
-    for t in range(row.size):
-        if model == NON_NEGATIVE and row[t] < 0.0:
-            row[t] = 0.0
-        total += row[t] * row[t]
-    norm = math.sqrt(total)
-    factor = 1.0 - weight / norm if norm > weight else 0.0
-    for t in range(row.size):
-        row[t] *= factor
 
 
 @numba.njit(**_COMPILE)

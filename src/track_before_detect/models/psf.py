@@ -120,7 +120,6 @@ class Psf(ABC):
         return Optics(self.coefficients, self.per_px, self.half_width, np.zeros(1), np.ones(1),
                       np.zeros(2) if curvature is None else curvature, 0.0, 0.0, np.empty(0))
 
-
     def sight(self, for_climbing: bool = False) -> Sight:
         """Return how frames see a path in their own pixels, see the module ``sight``."""
         optics = self.optics(self.curvature if for_climbing else None)

@@ -50,7 +50,6 @@ class PositionScores:
         self._model = model
         self._over_rows = over_rows
         n_sub = psf.oversampling
-        self._n_sub = n_sub
         rank = psf.filter_rank
         taps = np.array([[psf.profiles(axis, phase / n_sub)[0][:rank] for phase in range(n_sub)]
                          for axis in (0, 1)])
