@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from false_alarms import assert_rate_is_realised
 import naive
 import track_before_detect as tbd
 from track_before_detect.kernels.path_search import ABSENT
@@ -115,12 +116,12 @@ def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
     stamps = np.arange(8.0)
     bound = detector.threshold(stamps, shape)
     search = PathSearch(detector.graph(stamps, shape), detector.psf, shape, detector.model)
-    generator = np.random.default_rng(12)
-    found = sum(
-        search.best_value(generator.standard_normal((8, *shape), dtype=np.float32)) > bound**2
-        for _ in range(n_runs))
-    spread = 4 * np.sqrt(n_runs * rate * (1 - rate))
-    assert n_runs * rate / 1.5 - spread < found < n_runs * rate * 1.5 + spread
+
+    def passes(generator):
+        noise = generator.standard_normal((8, *shape), dtype=np.float32)
+        return search.best_value(noise) > bound**2
+
+    assert_rate_is_realised(passes, rate, n_runs, 12)
 
 
 @pytest.mark.parametrize(('options', 'message'), [

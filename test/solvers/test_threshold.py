@@ -5,6 +5,7 @@ import logging
 import numpy as np
 import pytest
 
+from false_alarms import assert_rate_is_realised
 from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph
@@ -43,11 +44,7 @@ def test_realised_rate_in_noise_is_the_requested_one(study, shape, rate):
     n_runs = 400
     bound = threshold_for(study, shape, rate)
     largest = study.searcher(shape)
-    generator = np.random.default_rng(11)
-    found = sum(largest(generator) > bound for _ in range(n_runs))
-    # Four standard deviations of the count, and half as much again for the calibration itself.
-    spread = 4 * np.sqrt(n_runs * rate * (1 - rate))
-    assert n_runs * rate / 1.5 - spread < found < n_runs * rate * 1.5 + spread
+    assert_rate_is_realised(lambda generator: largest(generator) > bound, rate, n_runs, 11)
 
 
 def test_threshold_falls_with_the_rate_and_rises_with_the_area(study):

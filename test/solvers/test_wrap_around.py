@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from false_alarms import assert_rate_is_realised
 import track_before_detect as tbd
 from track_before_detect.models.state_graph import build_state_graph
 from track_before_detect.options import DetectorOptions
@@ -78,10 +79,7 @@ def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
     stamps = np.arange(6.0)
     bound = detector.threshold(stamps, shape)
     search = detector.noise_study(stamps, shape).searcher(shape)
-    generator = np.random.default_rng(12)
-    found = sum(search(generator) > bound for _ in range(n_runs))
-    spread = 4 * np.sqrt(n_runs * rate * (1 - rate))
-    assert n_runs * rate / 1.5 - spread < found < n_runs * rate * 1.5 + spread
+    assert_rate_is_realised(lambda generator: search(generator) > bound, rate, n_runs, 12)
 
 
 def test_no_path_leaves_at_the_sides_of_a_round_frame():
