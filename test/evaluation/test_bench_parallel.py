@@ -5,6 +5,7 @@ import pytest
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation import bench_parallel, bench_velocity, parallel_scenes
+from track_before_detect.solvers.threshold import noise_frames
 
 
 def quiet(label, done):
@@ -71,7 +72,7 @@ def test_process_noise_has_the_covariance_of_the_paper():
 
 def test_power_of_a_target_and_of_the_noise_are_as_stated():
     rng = np.random.default_rng(2)
-    noise = parallel_scenes.noise_frames(rng, (200, 200))
+    noise = noise_frames(rng, (6, 200, 200), True)
     assert np.mean(np.abs(noise)**2) == pytest.approx(1, abs=0.02)
     scene = parallel_scenes.draw_scene([(25.0, 0.0, 25.0, 0.0)] * 1, 60.0, rng)
     assert np.abs(scene.frames[:, 25, 25])**2 == pytest.approx(1e6, rel=0.02)

@@ -14,20 +14,22 @@ def quiet(label, done):
 
 
 @pytest.fixture
-def small(monkeypatch):
-    """Make the maps few and small, and the targets slower."""
+def small(monkeypatch, tmp_path):
+    """Make the maps few and small, the targets slower and the calibration short."""
     scene = dataclasses.replace(suite.SCENE, height=64, width=24, n_frames=6, psf_sigma_px=2.0,
                                 speed_px_per_frame=2.0)
     overrides = {name: getattr(scene, name) for name in
                  ('height', 'width', 'n_frames', 'psf_sigma_px', 'speed_px_per_frame')}
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    monkeypatch.setattr('track_before_detect.solvers.threshold.MOST_CROPS', 150)
     monkeypatch.setattr(suite, 'SCENE', scene)
     monkeypatch.setattr(suite, 'simulate',
                         lambda name, seed, simulate=suite.simulate:
                         simulate(name, seed, **overrides))
     monkeypatch.setitem(suite.MOTIONS['uncoupled'], 'max_speed_px_s', 2.0)
-    suite._search.cache_clear()
+    suite._detector.cache_clear()
     yield scene
-    suite._search.cache_clear()
+    suite._detector.cache_clear()
 
 
 def test_suite_reports_the_gain_of_paired_scenes(small):
@@ -43,22 +45,19 @@ def test_suite_reports_the_gain_of_paired_scenes(small):
     assert again.rows == result.rows
 
 
-def test_target_is_found_from_its_snr_on(small):
-    item = {'motion': 'coupled', 'seed': 5, 'bound': 30.0}
+@pytest.mark.parametrize('motion', suite.MOTIONS)
+def test_target_is_found_from_its_snr_on(small, motion):
+    item = {'motion': motion, 'seed': 5, 'threshold': 5.5}
     snr = suite.snr_of_detection(item)['snr']
-    higher = suite.snr_of_detection({**item, 'bound': 40.0})['snr']
+    higher = suite.snr_of_detection({**item, 'threshold': 6.5})['snr']
     assert suite.SNRS[0] < snr < higher < suite.SNRS[1]
 
 
-def test_noise_has_unit_power_and_its_statistic_that_of_two_halves(small):
-    noise = suite.complex_noise(np.random.default_rng(1))
-    assert np.mean(np.abs(noise)**2) == pytest.approx(1.0, abs=0.05)
-    scores = suite._search('coupled').scores(noise)
-    inside = scores[scores >= 0]
-    assert inside.mean() == pytest.approx(1.0, abs=0.1)
-    assert inside.var() == pytest.approx(1.0, abs=0.3)
-
-
-def test_tail_of_a_gumbel_distribution_is_found():
-    values = np.random.default_rng(2).gumbel(40.0, 1.3, 20000)
-    assert suite.tail_value(values) == pytest.approx(np.quantile(values, 0.95), abs=0.1)
+@pytest.mark.parametrize('motion', suite.MOTIONS)
+def test_noise_raises_an_alarm_below_its_largest_statistic_and_none_above(small, motion):
+    noise = suite._noise(np.random.default_rng(7))
+    step = suite._detector(motion, 8.0).detect(noise, suite._stamps()).history[0]
+    largest = 8.0 * (1 + step.violation)
+    item = {'motion': motion, 'seed': 7}
+    assert suite.false_alarm({**item, 'threshold': 0.98 * largest})['alarm']
+    assert not suite.false_alarm({**item, 'threshold': 1.02 * largest})['alarm']

@@ -23,6 +23,7 @@ from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.transition_sets import directional_sets, TransitionSets
 from track_before_detect.solvers.measurements import cores, measure, Merit
 from track_before_detect.solvers.target_cancellation import TargetSearch
+from track_before_detect.solvers.threshold import noise_frames
 from track_before_detect.types import Progress
 
 SEED = 1
@@ -80,7 +81,7 @@ def measure_case(case: Case, repeats: int) -> dict[str, Any]:
     reaches = [1] * parallel_scenes.N_FRAMES
     sets = {'mt_dp': directional_sets(reaches, 1),
             'pc_dp': directional_sets(reaches, N_DIRECTIONS)}
-    noise = [_search(parallel_scenes.noise_frames(rng, case.shape))
+    noise = [_search(noise_frames(rng, (parallel_scenes.N_FRAMES, *case.shape), True))
              for _ in range(case.noise_runs)]
     bounds = {name: float(np.quantile([search.largest_merit(parts) for search in noise],
                                       1 - P_FA)) for name, parts in sets.items()}

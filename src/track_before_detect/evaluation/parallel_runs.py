@@ -15,6 +15,7 @@ from track_before_detect.solvers.measurements import cores, measure
 from track_before_detect.solvers.mt_dp import MtDpDetector
 from track_before_detect.solvers.pc_dp import PcDpDetector
 from track_before_detect.solvers.target_cancellation import TargetSearch
+from track_before_detect.solvers.threshold import noise_frames
 
 METHODS = {'mt_dp': MtDpDetector, 'pc_dp': PcDpDetector}
 STAMPS = np.arange(float(parallel_scenes.N_FRAMES))
@@ -54,7 +55,8 @@ def six_targets(item: Item) -> dict[str, dict[str, Any]]:
 
 def noise(item: Item) -> dict[str, bool]:
     """Return by method whether a batch of noise yields a track; item without ``snr_db``."""
-    frames = parallel_scenes.noise_frames(np.random.default_rng(item['seed']))
+    frames = noise_frames(np.random.default_rng(item['seed']),
+                          (parallel_scenes.N_FRAMES, *parallel_scenes.SHAPE), True)
     return {name: bool(_search(name, frames, item['thresholds'][name])[0]) for name in METHODS}
 
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.solvers.threshold import noise_frames
+
 N_FRAMES = 6
 SHAPE = (50, 50)
 # Section 4.2: targets 1 and 2 cross, 4 and 5 move side by side, 3 and 6 are on their own.
@@ -72,13 +74,6 @@ def many_targets(n_targets: int, snr_db: float, rng: np.random.Generator,
     return draw_scene(states, snr_db, rng, shape)
 
 
-def noise_frames(rng: np.random.Generator, shape: tuple[int, int] = SHAPE,
-                 n_frames: int = N_FRAMES) -> NDArray[np.complex64]:
-    """Draw complex Gaussian noise with E|n|^2 = 1, shape (T, H, W)."""
-    parts = rng.standard_normal((2, n_frames, *shape), np.float32) / np.float32(np.sqrt(2))
-    return parts[0] + 1j * parts[1]
-
-
 def draw_scene(states: Sequence[Sequence[float]], snr_db: float, rng: np.random.Generator,
                shape: tuple[int, int] = SHAPE, intensity: float = 0.0) -> ParallelScene:
     """Draw targets with given states in the first frame.
@@ -96,7 +91,7 @@ def draw_scene(states: Sequence[Sequence[float]], snr_db: float, rng: np.random.
     intensity : float
         q_1 of the process noise.
     """
-    frames = noise_frames(rng, shape)
+    frames = noise_frames(rng, (N_FRAMES, *shape), True)
     positions = _move(np.array(states, float), rng, intensity)
     cells = np.rint(positions).astype(int)
     amplitude = 10**(snr_db / 20)
