@@ -16,6 +16,7 @@ from track_before_detect.solvers import threshold
 from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.sheared_plane import ShearedPlane
+from track_before_detect.solvers.threshold import noise_frames
 
 STAMPS = {
     'regular': np.arange(6.0),
@@ -106,6 +107,26 @@ def test_target_that_moves_against_its_doppler_is_not_found():
     assert np.hypot(*(right.trajectories[0].positions - truth).T).max() < 1.0
 
 
+@pytest.mark.parametrize('presence', ['full', 'partial'])
+@pytest.mark.parametrize('amplitudes', ['non-negative', 'signed', 'complex'])
+def test_target_is_found_with_any_amplitudes_and_presence(amplitudes, presence):
+    made, empty = (simulate('range_doppler', 5, snr=snr) for snr in (6.0, 0.0))
+    target, generator = made.frames - empty.frames, np.random.default_rng(6)
+    if amplitudes == 'complex':
+        target = target * np.exp(2j * np.pi * generator.random(16))[:, None, None]
+    if presence == 'partial':
+        target[9:] = 0
+    frames = target + noise_frames(generator, target.shape, amplitudes == 'complex')
+    [trajectory] = tbd.detect(
+        frames, made.stamps, motion_model='range_doppler', range_bins_per_doppler_bin=0.3,
+        amplitudes=amplitudes, presence=presence, threshold=8.0).trajectories
+    present = np.isfinite(trajectory.positions[:, 0])
+    assert present[:7].all()
+    assert present[11:].all() if presence == 'full' else not present[11:].any()
+    error = np.hypot(*(trajectory.positions - made.truth[:, 2:]).T)
+    assert np.nanmean(error) < 0.5
+
+
 def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     monkeypatch.setattr(threshold, 'N_CROPS', 150)
@@ -125,6 +146,10 @@ def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(('options', 'message'), [
+    ({'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 1.0, 'detector': 'mt_dp'},
+     "mt_dp .* got 'range_doppler'"),
+    ({'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 1.0,
+      'presence': 'partial', 'amplitude_model': 'constant'}, 'presence partial .* constant'),
     ({'motion_model': 'range_doppler'}, 'needs range_bins_per_doppler_bin other than 0'),
     ({'range_bins_per_doppler_bin': 1.0}, 'needs motion_model range_doppler'),
     ({'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 1.0, 'max_speed_px_s': 2},
