@@ -1,0 +1,173 @@
+"""Every path of a small graph one by one, and the convex optimum over all of them, slowly."""
+
+import itertools
+
+import numpy as np
+
+import naive
+
+HIDDEN = 1e-3
+
+
+class EveryPath:
+    """All paths of a graph in some frames, drawn pixel by pixel.
+
+    Parameters
+    ----------
+    paths : list of (positions (T, 2) in pixels, cost of the turns)
+    psf : Psf
+    kind : str
+        ``"non-negative"``, ``"signed"``, ``"complex"``, with ``" constant"`` for one amplitude.
+    shape : tuple of int
+        (H, W) of the frames.
+    n_frames : int
+    weights : array, shape (T, H, W), optional
+        One over the noise of each pixel, zero where masked.
+    """
+
+    def __init__(self, paths, psf, kind, shape, n_frames, weights=None):
+        self.kind, _, constant = kind.partition(' ')
+        self.constant = bool(constant)
+        self.positions = np.array([positions for positions, _ in paths])
+        self.costs = np.array([cost for _, cost in paths])
+        self.places, self.cells = np.unique(self.positions.reshape(-1, 2), axis=0,
+                                            return_inverse=True)
+        self.cells = self.cells.reshape(len(paths), n_frames)
+        stamps = np.zeros((n_frames, len(self.places), *shape))
+        self.norms = np.zeros((n_frames, len(self.places)))
+        for t, place in itertools.product(range(n_frames), range(len(self.places))):
+            whole = naive.psf_picture(psf, self.places[place])
+            seen = naive.cut(whole, shape) * (1 if weights is None else weights[t])
+            norm = np.linalg.norm(seen)
+            if norm**2 > HIDDEN * np.linalg.norm(whole)**2:
+                stamps[t, place] = seen / norm
+                self.norms[t, place] = norm / np.linalg.norm(whole)
+        if weights is None:
+            self.norms[:] = 1.0
+        self.stamps = stamps.reshape(n_frames, len(self.places), -1)
+        frame = np.arange(n_frames)
+        # Of constant amplitudes: the column of a path is the sum of its stamps times these.
+        norms = self.norms[frame, self.cells]
+        self.total = np.sqrt(np.sum(norms**2, axis=1))
+        self.shares = norms / np.maximum(self.total, 1e-300)[:, None]
+        # Columns of fluctuating amplitudes are divided by these.
+        self.frame_weights = np.ones((len(paths), 1))
+
+    def weighted(self, frame_weights):
+        """Return the same paths with a weight for each of their frames, (P, T)."""
+        other = EveryPath.__new__(EveryPath)
+        other.__dict__ = {**self.__dict__, 'frame_weights': frame_weights}
+        return other
+
+    def along(self, frames):
+        """Return the matched filter along each path, (P, T); one number each if constant."""
+        seen = np.einsum('tpi,ti->tp', self.stamps, frames.reshape(len(frames), -1))
+        seen = seen[np.arange(len(frames)), self.cells]
+        if self.constant:
+            return (self.shares * seen).sum(axis=1, keepdims=True)
+        return seen / self.frame_weights
+
+    def picture(self, x):
+        """Return the frames of paths of amplitudes (P, T), or (P, 1) if constant."""
+        n_frames = self.stamps.shape[0]
+        spread = self.shares * x if self.constant else x / self.frame_weights
+        at_places = np.zeros((n_frames, len(self.places)), x.dtype)
+        for t in range(n_frames):
+            np.add.at(at_places[t], self.cells[:, t], spread[:, t])
+        return np.einsum('tpi,tp->ti', self.stamps, at_places)
+
+    def statistics(self, frames):
+        """Return eta of every path."""
+        seen = self.along(frames)
+        return np.linalg.norm(np.maximum(seen, 0) if self.kind == 'non-negative' else seen,
+                              axis=1)
+
+    def weights_of(self, threshold, turn_frames=None):
+        """Return lambda of every path."""
+        if self.constant:
+            return threshold + self.turn_prices(turn_frames)
+        return np.sqrt(threshold**2 + self.costs)
+
+    def turn_prices(self, turn_frames):
+        """Return the cost of the turns on the scale of the statistic of a constant amplitude."""
+        if turn_frames is None:
+            return self.costs
+        return self.costs * turn_frames / np.maximum(self.total, 1e-300)
+
+    def values(self, frames, turn_frames=None):
+        """Return statistic less cost as the search adds them up."""
+        if self.constant:
+            return self.statistics(frames) - self.turn_prices(turn_frames)
+        return self.statistics(frames)**2 - self.costs
+
+    def optimum(self, frames, weights, tolerance):
+        """Minimise 1/2 |y - A x|^2 + sum w |x| over all paths by proximal steps.
+
+        Returns the objective and a bound below the smallest one, from the dual.
+        """
+        data = frames.reshape(len(frames), -1)
+        energy = 0.5 * np.linalg.norm(data)**2
+        member = np.zeros(len(weights), bool)
+        member[np.argmax(self.statistics(frames) / weights)] = True
+        x = np.zeros((len(weights), 1 if self.constant else len(frames)), data.dtype)
+        while True:
+            x[member] = self._fitted(data, x, member, weights, 0.1 * tolerance * energy)
+            residual = data - self.picture(x)
+            excess = self.statistics(residual) / weights
+            objective = (0.5 * np.linalg.norm(residual)**2
+                         + np.sum(weights * np.linalg.norm(x, axis=1)))
+            # Scaled until feasible the residual bounds the optimum from below.
+            scale = min(1.0, 1 / excess.max())
+            below = (scale * np.vdot(residual, data).real
+                     - 0.5 * scale**2 * np.linalg.norm(residual)**2)
+            if objective - below <= tolerance * energy:
+                return objective, below
+            member |= np.isin(np.arange(len(weights)), np.argsort(-excess)[:5]) & (excess > 1)
+
+    def _columns(self, member):
+        """Return the columns of some paths, (n, K, pixels): K frames, or one of all if constant."""
+        n_frames = self.stamps.shape[0]
+        stamps = self.stamps[np.arange(n_frames), self.cells[member]]
+        if self.constant:
+            return (self.shares[member, :, None] * stamps).reshape(len(stamps), 1, -1)
+        return stamps / self.frame_weights[member][..., None]
+
+    def _fitted(self, data, x, member, weights, gap):
+        """Return amplitudes of the members by accelerated proximal steps with restarts."""
+        columns = self._columns(member)
+        matched = np.einsum('pki,ki->pk', columns, data.reshape(columns.shape[1], -1))
+        gram = np.einsum('pki,qki->kpq', columns, columns)
+        energy = np.linalg.norm(data)**2
+        x, weights = x[member], weights[member][:, None]
+        step = 1 / np.linalg.eigvalsh(gram).max()
+
+        def explained(x):
+            return (gram @ x.T[..., None])[..., 0].T
+
+        def size(x):
+            return np.linalg.norm(x, axis=1, keepdims=True)
+
+        ahead, momentum = x, 1.0
+        for number in range(100000):
+            moved = ahead + step * (matched - explained(ahead))
+            if self.kind == 'non-negative':
+                moved = np.maximum(moved, 0)
+            new = moved * np.maximum(0, 1 - step * weights / np.maximum(size(moved), 1e-300))
+            if np.vdot(ahead - new, new - x).real > 0:
+                momentum = 1.0
+            following = 0.5 * (1 + np.sqrt(1 + 4 * momentum**2))
+            ahead = new + (momentum - 1) / following * (new - x)
+            x, momentum = new, following
+            if number % 50 == 0:
+                fit = explained(x)
+                left = matched - fit
+                excess = np.max(size(np.maximum(left, 0) if self.kind == 'non-negative' else left)
+                                / weights)
+                scale = min(1.0, 1 / excess)
+                cross = np.vdot(x, matched).real
+                residual = energy - 2 * cross + np.vdot(x, fit).real
+                objective = 0.5 * residual + np.sum(weights * size(x))
+                below = scale * (energy - cross) - 0.5 * scale**2 * residual
+                if objective - below <= gap:
+                    break
+        return x
