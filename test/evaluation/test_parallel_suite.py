@@ -4,6 +4,7 @@ import pytest
 from track_before_detect.evaluation import parallel_runs, parallel_suite
 from track_before_detect.evaluation.report import write_suite_result
 from track_before_detect.evaluation.runner import Runner
+from track_before_detect.solvers.target_cancellation import Search, Track
 
 
 def quiet(label, done):
@@ -47,11 +48,29 @@ def test_report_compares_the_methods_run_by_run(stand_ins, tmp_path):
     assert values['candidates at 8 dB, slowest direction of PC over MT'].value == 0.25
     assert values['candidates at 8 dB, all directions of PC over MT'].value == pytest.approx(0.7)
     assert values['candidates at 8 dB, Eq. 18 with the targets found'].value == 0.25
+    # Two found in all, two in the slowest direction, each with four of nine predecessors.
+    assert values['candidates at 8 dB, the same with shared borders and the last search'
+                  ].value == pytest.approx(4 / 9)
     assert values['noise batches with a track, mt_dp'].value == 1.0
     assert len(result.rows) == 2 * 20 * 12
     write_suite_result(tmp_path, 'parallel', result, 'the command')
-    assert '| 15 | ' in (tmp_path / 'report.md').read_text()
+    report = (tmp_path / 'report.md').read_text()
+    assert '| 15 | ' in report and 'each has 0.444 of it' in report
     assert (tmp_path / 'parallel_rmse.png').stat().st_size > 10000
+
+
+def test_tracks_are_compared_with_the_cells_of_targets(monkeypatch):
+    # Target 1 ends at x = 18.1, in cell 18: cell 16 is two cells away, cell 15 is not.
+    def track(end):
+        pixels = np.column_stack([np.full(6, end), np.full(6, 33)])
+        return [Track(pixels, np.ones(6), 1.0)], [Search([], 0.0, 1)]
+
+    detected = []
+    for end in (16, 15):
+        monkeypatch.setattr(parallel_runs, '_search', lambda *_, end=end: track(end))
+        item = {'snr_db': 9.0, 'seed': 1, 'thresholds': {'mt_dp': 5.0, 'pc_dp': 5.0}}
+        detected.append(parallel_runs.six_targets(item)['pc_dp']['detected'][:2])
+    assert detected == [[True, False], [False, False]]
 
 
 def test_bright_targets_are_detected_by_both_methods():

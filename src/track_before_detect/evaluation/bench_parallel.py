@@ -123,7 +123,7 @@ def _outcome(search, scene, parts, bound):
     looked_at = [done.n_candidates for done in searches]
     return {
         'detected': track_errors([track.pixels for track in tracks],
-                                 scene.positions).detected.mean(),
+                                 scene.cells).detected.mean(),
         'tracks': len(tracks),
         'candidates': sum(looked_at), 'candidates_of_slowest': max(looked_at),
         'plain': sum(plain), 'plain_of_slowest': max(plain),

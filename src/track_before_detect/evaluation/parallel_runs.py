@@ -42,7 +42,7 @@ def six_targets(item: Item) -> dict[str, dict[str, Any]]:
     results = {}
     for name in METHODS:
         tracks, searches = _search(name, scene.frames, item['thresholds'][name])
-        errors = track_errors([track.pixels for track in tracks], scene.positions)
+        errors = track_errors([track.pixels for track in tracks], scene.cells)
         results[name] = {
             'detected': errors.detected.tolist(),
             'squared_error': [float(error) if hit else None for error, hit in
