@@ -70,11 +70,26 @@ def test_traced_path_has_the_weight_it_was_found_for(acceleration, n_frames):
     scores = np.random.default_rng(9).exponential(size=(n_frames, 7, 33)).astype(np.float32)
     table = PathTable(graph, (7, 33))
     table.fill(scores)
-    for y, x in ((0, 0), (3, 17), (6, 32)):
-        positions, cost = table.trace(y, x)
+    starts = np.array([(0, 0), (3, 17), (6, 32)])
+    for (y, x), positions, cost in zip(starts, *table.trace(starts), strict=True):
         columns, rows = positions.astype(int).T
         weight = scores[np.arange(n_frames), rows, columns].sum() - cost
         assert weight == pytest.approx(float(table.best[y, x]), rel=1e-5)
+
+
+@pytest.mark.parametrize('limit', [0, 3, 500])
+def test_peaks_are_the_largest_that_are_left_once_their_surroundings_are_out(limit):
+    graph = build_state_graph(np.arange(2.0), step_px=1.0, max_speed=0.0, max_acceleration=0.0,
+                              turn_cost=0.3)
+    table = PathTable(graph, (23, 31))
+    # Whole numbers, so that many are equal.
+    table.fill(np.random.default_rng(6).integers(0, 9, (2, 23, 31)).astype(np.float32))
+    left, expected = table.best.copy(), []
+    while len(expected) < limit and left.max() > 4.0:
+        y, x = np.unravel_index(np.argmax(left), left.shape)
+        expected.append((y, x))
+        left[max(0, y - 2):y + 3, max(0, x - 2):x + 3] = -1
+    np.testing.assert_array_equal(table.peaks(4.0, 2, limit), np.reshape(expected, (-1, 2)))
 
 
 def test_rows_wider_than_a_word_of_vectors_are_searched():

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels import path_search
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.psf import Psf
@@ -123,19 +122,15 @@ class PathSearch:
             Most paths that are traced.
         """
         largest = self._table.update(self.scores(frames), above)
-        best = self._table.best.copy()
-        found: list[FoundPath] = []
         radius = max(1, round(separation / self.graph.step_px))
-        for _ in range(limit):
-            y, x = np.unravel_index(int(np.argmax(best)), best.shape)
-            if not best[y, x] > above:
-                break
-            positions, cost = self._table.trace(int(y), int(x))
+        peaks = self._table.peaks(above, radius, limit)
+        traced, costs = self._table.trace(peaks)
+        found: list[FoundPath] = []
+        for (y, x), positions, cost in zip(peaks, traced, costs, strict=True):
             if self._plane:
                 positions = self._plane.restore(positions, np.arange(len(positions)))
-            path = FoundPath(positions * self.graph.step_px, float(best[y, x]), cost)
+            path = FoundPath(positions * self.graph.step_px, float(self._table.best[y, x]),
+                             float(cost))
             if is_new(path.positions):
                 found.append(path)
-            best[max(0, y - radius):y + radius + 1, max(0, x - radius):x + radius + 1] = (
-                path_search.ABSENT)
         return largest, found

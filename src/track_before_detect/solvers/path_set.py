@@ -13,7 +13,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from track_before_detect.kernels import stamps as stamp_kernels
 from track_before_detect.kernels.sight import render_path
@@ -83,10 +82,10 @@ class PathSet:
         self._overlaps = np.zeros((64, n_frames))
         self._free_rows = list(range(63, 0, -1))
         self.residual = frames.copy()
-        # Part by part, so that no copy of all frames in double precision is made.
+        # Frame by frame, so that no copy of all frames in double precision is made.
         parts = (frames.real, frames.imag) if model.is_complex else (frames,)
         self.energy = 0.5 * sum(
-            float(np.einsum('tyx,tyx->', part, part, dtype=np.float64)) for part in parts)
+            float(np.sum(np.square(frame, dtype=np.float64))) for part in parts for frame in part)
 
     def __len__(self) -> int:
         return len(self.positions)
@@ -186,9 +185,21 @@ class PathSet:
 
     def clusters(self) -> list[NDArray[np.int64]]:
         """Return the sets of paths that overlap, directly or through others."""
-        _, labels = connected_components(self._pairs, directed=False)
-        order = np.argsort(labels, kind='stable')
-        return np.split(order, np.flatnonzero(np.diff(labels[order])) + 1) if len(order) else []
+        # Most paths are alone, and a graph library takes longer to start than this does.
+        left = np.ones(len(self), bool)
+        clusters = []
+        for path in range(len(self)):
+            if not left[path]:
+                continue
+            members = np.zeros(len(self), bool)
+            members[path] = True
+            size = 0
+            while size < members.sum():
+                size = int(members.sum())
+                members |= self._pairs[members].any(axis=0)
+            left &= ~members
+            clusters.append(np.flatnonzero(members))
+        return clusters
 
     def objective(self, t_convex: float) -> float:
         """Return F_t, the energy of the data included."""

@@ -107,32 +107,48 @@ class PathTable:
         """Fill the whole table at the next search."""
         self._filled = False
 
-    def trace(self, y: int, x: int) -> tuple[NDArray, float]:
-        """Return the best path that starts its last segment at (y, x).
+    def peaks(self, above: float, radius: int, limit: int) -> NDArray[np.int64]:
+        """Return y and x (N, 2) of separate maxima of ``best`` above a level, largest first.
+
+        Parameters
+        ----------
+        above : float
+            Only larger weights are picked.
+        radius : int
+            Rows and columns around one that is picked in which no other is.
+        limit : int
+            Most that are picked.
+        """
+        peaks = np.empty((limit, 2), np.int64)
+        return peaks[:path_trace.pick_peaks(peaks, self.best, above, radius)]
+
+    def trace(self, starts: NDArray) -> tuple[NDArray, NDArray]:
+        """Return the best paths that start their last segment at y and x, ``starts`` (N, 2).
+
+        All at once, for a call of a compiled loop costs more than following one path.
 
         Returns
         -------
-        positions : array, shape (T, 2)
+        positions : array, shape (N, T, 2)
             x and y in grid steps.
-        cost : float
-            Cost of its turns.
+        costs : array, shape (N,)
+            Of their turns.
         """
         graph = self._graph
-        positions = np.empty((graph.n_frames, 2))
-        n_turns = 0
+        positions = np.empty((len(starts), graph.n_frames, 2))
+        y, x = np.array(starts, np.int64).T.copy()
+        velocities, turns = np.zeros((2, len(starts)), np.int64)
         before = self._tables[-1] if self._tables else NO_STATES
-        velocity = path_trace.best_velocity(before, self._scores, y, x, self._segments[-1],
-                                            self._layout)
+        path_trace.best_velocities(velocities, before, self._scores, y, x, self._segments[-1],
+                                   self._layout)
         for j in range(graph.n_segments - 1, -1, -1):
             first, last = graph.knots[j], graph.knots[j + 1]
-            positions[first:last] = (x, y) + graph.moves[first:last, velocity]
+            moves = graph.moves[first:last, velocities].swapaxes(0, 1)
+            positions[:, first:last] = np.column_stack([x, y])[:, None] + moves
             if j > 0:
-                velocity, _, turned = path_trace.best_arrival(
-                    self._tables[j - 1], y, x, velocity, self._segments[j], self._layout)
-                n_turns += turned
-                x = x - int(graph.end_moves[j - 1, velocity, 0])
-                y = y - int(graph.end_moves[j - 1, velocity, 1])
-        return positions, graph.turn_cost * n_turns
+                path_trace.step_back(y, x, velocities, turns, self._tables[j - 1],
+                                     self._segments[j], self._layout)
+        return positions, graph.turn_cost * turns
 
     def over_rows(self, work: Callable[..., object], *arguments: Any) -> None:
         """Call work(*arguments, first row, last row) for all rows, shared out over threads."""

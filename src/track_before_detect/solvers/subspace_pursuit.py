@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import FIT_GAP, PathSet
@@ -218,15 +217,15 @@ class _Stage:
 
     def _is_new(self, separation):
         """Return a test for paths that still pass the threshold beside those found so far."""
-        taken: list[NDArray] = []
+        taken = np.empty((0, self._paths.frames.shape[0], 2))
 
         def is_new(positions):
-            for other in taken:
-                distance = np.hypot(*(positions - other).T)
-                near = distance[np.isfinite(distance)] < separation
-                if len(near) and near.mean() > 0.25:
-                    return False
-            taken.append(positions)
+            nonlocal taken
+            distance = np.hypot(*(positions - taken).transpose(2, 0, 1))
+            near = np.count_nonzero(distance < separation, axis=1)
+            if np.any(near > 0.25 * np.count_nonzero(np.isfinite(distance), axis=1)):
+                return False
+            taken = np.concatenate([taken, positions[None]])
             return True
 
         return is_new
