@@ -6,8 +6,10 @@ that are kept; forward only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.models.velocity_candidates import (
     matching_bits,
@@ -31,7 +33,7 @@ def numpy_merit_functions(frames: NDArray, order: str, v_max: int) -> NDArray[np
     merit = np.empty_like(frames)
     if order == 'cfo':
         merit[0] = frames[0]
-        before = _Padded(frames.shape[1:], v_max, -np.inf)
+        before = Padded(frames.shape[1:], v_max, -np.inf)
         best = np.empty_like(frames[0])
         for t in range(1, len(frames)):
             before.fill(merit[t - 1])
@@ -47,7 +49,7 @@ def numpy_merit_functions(frames: NDArray, order: str, v_max: int) -> NDArray[np
     return merit
 
 
-class _Padded:
+class Padded:
     """An image with a border, seen from pixels that moved."""
 
     def __init__(self, shape, border, outside, dtype=np.float32):
@@ -55,10 +57,12 @@ class _Padded:
         self._image = np.full([n + 2 * border for n in shape], outside, dtype)
         self._shape = shape
 
-    def fill(self, image):
+    def fill(self, image: ArrayLike) -> None:
+        """Put in an image, or a number everywhere, inside the border."""
         self.moved((0, 0))[:] = image
 
-    def moved(self, displacement):
+    def moved(self, displacement: Sequence[int]) -> NDArray:
+        """Return what was at p - displacement (x, y) of every pixel p."""
         rows, columns = (slice(self._border - move, self._border - move + length)
                          for move, length in zip(displacement[::-1], self._shape, strict=True))
         return self._image[rows, columns]
@@ -74,9 +78,9 @@ class _SecondOrder:
         needed, chosen = matching_bits(lines[:, 0], v_max)
         self._candidates = list(zip(lines[:, 1].tolist(), lines[:, 2].tolist(), needed, chosen,
                                     strict=True))
-        self._merits = [_Padded(shape, 2 * v_max, -np.inf) for _ in range(2)]
+        self._merits = [Padded(shape, 2 * v_max, -np.inf) for _ in range(2)]
         # Nothing outside matches, everything matches where no velocity was chosen.
-        self._states = [_Padded(shape, 2 * v_max, 0, needed.dtype) for _ in range(2)]
+        self._states = [Padded(shape, 2 * v_max, 0, needed.dtype) for _ in range(2)]
         self._unknown = np.iinfo(needed.dtype).max
         self._chosen = np.full((3, *shape), self._unknown, needed.dtype)
         self._best, self._kept, self._value = (np.empty(shape, np.float32) for _ in range(3))

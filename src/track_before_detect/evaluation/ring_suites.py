@@ -10,7 +10,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation import ring_pictures, ring_runs
+from track_before_detect.evaluation import ring_pictures, ring_readings, ring_runs
 from track_before_detect.evaluation.confidence import bootstrap_interval
 from track_before_detect.evaluation.report import markdown_table, Quantity, SuiteResult
 from track_before_detect.evaluation.ring_scenes import (
@@ -51,6 +51,11 @@ def run_ring_single(runs: int, seed: int, runner: Runner) -> SuiteResult:
              for case, n_frames, snr in cells
              for one in seeds_of(seed, f'ring-single {case} {n_frames} {snr:g}', runs)]
     results = runner.map(ring_runs.single, items, 'single targets')
+    at = (ring_readings.CASE, ring_readings.N_FRAMES, ring_readings.SNR)
+    readings = runner.map(
+        ring_readings.measure,
+        [item for item in items if (item['case'], item['n_frames'], item['snr']) == at],
+        'readings of the first order')
     shares = np.array([[result[method] / item['n_frames'] for method in METHODS]
                        for item, result in zip(items, results, strict=True)])
     table = Shares(shares.reshape(len(SINGLE_V_MAX), len(LENGTHS), len(SINGLE_SNRS), runs,
@@ -69,7 +74,9 @@ def run_ring_single(runs: int, seed: int, runner: Runner) -> SuiteResult:
         {'runs': runs, 'seed': seed, 'snrs': SINGLE_SNRS, 'lengths': LENGTHS},
         lambda figure: ring_pictures.draw_single(figure, table.means(), table.half_widths(),
                                                  SINGLE_SNRS, LENGTHS),
-        details=_single_details(table))
+        details='\n\n'.join([_single_details(table), ring_readings.section(readings, {
+            _shown(method): float(table.means()[method].ravel()[cells.index(at)])
+            for method in ('cso_dp', 'mff_dp')})]))
 
 
 def run_ring_multi(runs: int, seed: int, runner: Runner) -> SuiteResult:
