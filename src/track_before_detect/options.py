@@ -80,6 +80,11 @@ class DetectorOptions:
     doppler_offset_bins: float = _option(
         0.0, 'Of motion_model range_doppler: column of zero Doppler less the middle column, which '
         'is half the number of columns, rounded down.', kind='number', unit='px')
+    doppler_ambiguities: int = _option(
+        0, 'Of motion_model range_doppler: by how many times the number of columns the Doppler '
+        'of a target may be off, either way; columns then go round, and how fast the range '
+        'changes tells which it is. With 0 they end at both sides.', kind='integer', minimum=0,
+        maximum=16)
     presence: str = _option(
         'full', 'Whether a target is there in all frames of a batch, or may enter and leave '
         '(partial), which is then found, at the cost of slightly dimmer targets.', kind='text',

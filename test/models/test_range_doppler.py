@@ -12,6 +12,7 @@ from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.range_doppler import build_range_doppler_graph
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers import threshold
 from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.path_search import PathSearch
@@ -164,3 +165,108 @@ def test_search_that_is_too_large_is_refused():
     with pytest.raises(tbd.ParameterError, match='lower max_acceleration_px_s2'):
         tbd.detect(np.zeros((16, 16, 4000)), threshold=8, motion_model='range_doppler',
                    range_bins_per_doppler_bin=1e-5, max_acceleration_px_s2=1e5)
+
+
+def maps_around(column, k, snr, first_row=60.0, shape=(120, 24)):
+    """Return maps without noise of a target whose true Doppler columns (T,) may be off the map."""
+    rows = first_row + np.append(0, np.cumsum(0.5 * k * (
+        column[1:] + column[:-1] - 2 * (shape[1] // 2))))
+    maps = np.zeros((len(column), *shape), np.float32)
+    for picture, x, y in zip(maps, column, rows, strict=True):
+        for turn in (-1, 0, 1):
+            add_target(picture, x % shape[1] + turn * shape[1], y, 1.0, snr)
+    return maps, rows
+
+
+@pytest.mark.parametrize('amplitudes', ['non-negative', 'complex'])
+@pytest.mark.parametrize('turns', [-1, 0, 1])
+@pytest.mark.parametrize('column', [0.2, 23.7, 8.3])
+def test_target_faster_than_the_blind_speed_is_found_once_at_its_true_speed(
+        column, turns, amplitudes):
+    k = 0.15
+    columns = column + 24 * turns + 0.02 * np.arange(10)
+    maps, rows = maps_around(columns, k, 20.0)
+    phases = np.exp(1j * np.arange(10)) if amplitudes == 'complex' else np.ones(10)
+    [trajectory] = tbd.detect(
+        maps * phases[:, None, None], motion_model='range_doppler', doppler_ambiguities=1,
+        range_bins_per_doppler_bin=k, amplitudes=amplitudes, threshold=7.0).trajectories
+    x, y = trajectory.positions.T
+    np.testing.assert_allclose((x - columns + 12) % 24 - 12, 0, atol=0.05)
+    assert (x >= -0.5).all() and (x < 23.5).all()
+    np.testing.assert_allclose(y, rows, atol=0.05)
+    np.testing.assert_allclose(trajectory.velocity[:, 1], k * (columns - 12), atol=0.05)
+    np.testing.assert_allclose(np.abs(trajectory.amplitudes), 20.0, rtol=0.02)
+
+
+def test_targets_of_one_column_and_different_speeds_are_told_apart():
+    k, times = 0.15, np.arange(10.0)
+    slow, slow_rows = maps_around(7.0 + 0 * times, k, 6.0, 70.0)
+    fast, fast_rows = maps_around(31.0 + 0 * times, k, 6.0, 50.0)
+    maps = slow + fast + np.random.default_rng(1).standard_normal(slow.shape)
+    found = tbd.detect(maps, motion_model='range_doppler', range_bins_per_doppler_bin=k,
+                       doppler_ambiguities=1, threshold=7.5).trajectories
+    assert len(found) == 2
+    found.sort(key=lambda trajectory: trajectory.velocity[0, 1])
+    for trajectory, rows in zip(found, (slow_rows, fast_rows), strict=True):
+        assert np.abs(trajectory.positions - np.stack([7 + 0 * times, rows], 1)).mean() < 0.5
+
+
+@pytest.mark.parametrize('presence', ['full', 'partial'])
+@pytest.mark.parametrize('detector', ['convex', 'greedy'])
+def test_simulated_target_beyond_the_blind_speed_is_found(detector, presence):
+    overrides = {'height': 128, 'width': 32, 'n_frames': 12, 'range_bins_per_doppler_bin': 0.2,
+                 'doppler_ambiguities': 1, 'speed_px_per_frame': 8.0}
+    options = {'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 0.2,
+               'threshold': 7.5, 'detector': detector, 'presence': presence}
+    beyond = 0
+    for seed in range(6):
+        made = simulate('range_doppler', seed, snr=6.0, **overrides)
+        truth = made.truth[:, 2:]
+        [trajectory] = tbd.detect(made.frames, made.stamps, doppler_ambiguities=1,
+                                  **options).trajectories
+        error = trajectory.positions - truth
+        error[:, 0] = (error[:, 0] + 16) % 32 - 16
+        assert np.nanmean(np.hypot(*error.T)) < 0.7
+        rate = np.gradient(truth[:, 1])
+        if np.abs(rate).min() > 4.0:
+            beyond += 1
+            plain = tbd.detect(made.frames, made.stamps, **options).trajectories
+            assert all(np.nanmean(np.abs(one.velocity[:, 1] - rate)) > 1.0 for one in plain)
+    assert beyond > 0
+
+
+def test_masked_pixels_and_noise_of_wrapped_maps_go_round_with_the_columns():
+    k = 0.15
+    columns = 23.6 + 24 + 0 * np.arange(10.0)
+    maps, rows = maps_around(columns, k, 9.0)
+    maps = maps + np.random.default_rng(2).standard_normal(maps.shape)
+    maps[3:5, :, :2] = np.nan
+    [trajectory] = tbd.detect(maps, motion_model='range_doppler', doppler_ambiguities=1,
+                              range_bins_per_doppler_bin=k, threshold=7.5,
+                              variance=np.ones((120, 24))).trajectories
+    assert np.abs(trajectory.positions[:, 1] - rows).mean() < 0.5
+
+
+def test_realised_rate_with_ambiguous_doppler_is_the_requested_one(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    monkeypatch.setattr(threshold, 'MOST_CROPS', 300)
+    rate, shape, stamps = 0.3, (180, 24), np.arange(8.0)
+    detector = ConvexDetector(DetectorOptions(
+        psf_sigma_px=2.0, motion_model='range_doppler', range_bins_per_doppler_bin=0.2,
+        doppler_ambiguities=1, false_alarm_rate=rate))
+    bound = detector.threshold(stamps, shape)
+    search = detector.noise_study(stamps, shape).searcher(shape)
+    assert_rate_is_realised(lambda generator: search(generator) > bound, rate, 200, 12)
+
+
+@pytest.mark.parametrize(('options', 'message'), [
+    ({'motion_model': 'range_bearing'}, 'doppler_ambiguities needs motion_model range_doppler'),
+    ({'detector': 'mt_dp'}, 'doppler_ambiguities needs motion_model range_doppler'),
+    ({'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 1.0,
+      'registration': 'translation'}, 'registration must be none'),
+    ({'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 1.0,
+      'psf_sigma_px': 4.0}, 'at least .* columns'),
+])
+def test_ambiguities_that_cannot_be_searched_are_refused(options, message):
+    with pytest.raises(tbd.ParameterError, match=message):
+        tbd.detect(np.zeros((4, 16, 16)), threshold=8, doppler_ambiguities=1, **options)

@@ -101,6 +101,10 @@ class Scenario:
     doppler_drift_bins: float = _parameter(
         0.0, 'Largest change of the Doppler of a target over the recording, at a constant rate.',
         unit='px', minimum=0.0, maximum=1e6)
+    doppler_ambiguities: int = _parameter(
+        0, 'By how many times the number of columns the Doppler of a target of motion '
+        'range_doppler may be off the map, either way; with more than none its columns go round.',
+        minimum=0, maximum=16)
     separation_px: float = _parameter(
         12.0, 'Least distance of two targets in any frame; the distance of parallel ones; not '
         'used by crossing.', unit='px', minimum=0.0, maximum=1e6)
@@ -205,8 +209,12 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
         amplitudes *= np.sqrt(for_amplitude.exponential(1.0, amplitudes.shape))
     frames = for_noise.standard_normal(shape, np.float32)
     for path, amplitude in zip(positions, amplitudes, strict=True):
+        around = scenario.width * np.arange(-1, 2) if scenario.doppler_ambiguities else [0]
+        if scenario.doppler_ambiguities:
+            path[:, 0] = (path[:, 0] + 0.5) % scenario.width - 0.5
         for frame, (x, y), a in zip(frames, path, amplitude, strict=True):
-            add_target(frame, x, y, scenario.psf_sigma_px, a)
+            for shift in around:
+                add_target(frame, x + shift, y, scenario.psf_sigma_px, a)
     truth = [np.column_stack([np.arange(len(path)), np.full(len(path), target), path])
              for target, path in enumerate(positions)]
     return SimulatedRecording(
@@ -249,6 +257,10 @@ def _place(name, scenario, rng) -> NDArray[np.float64]:
             continue
         if scenario.motion == 'range_doppler':
             # Its columns say how fast it moves.
+            if scenario.doppler_ambiguities:
+                room_low[0] = -scenario.doppler_ambiguities * scenario.width - paths[..., 0].min()
+                room_high[0] = ((1 + scenario.doppler_ambiguities) * scenario.width - 1
+                                - paths[..., 0].max())
             if not room_low[0] <= 0 <= room_high[0]:
                 continue
             room_low[0] = room_high[0] = 0.0

@@ -78,6 +78,10 @@ class BatchDetector(ABC):
                     raise ParameterError(
                         f'{options.detector} needs a Gaussian sampled at the pixel centres: leave '
                         f'{name} {"out" if plain is None else plain}')
+        for name in ('range_bins_per_doppler_bin', 'doppler_ambiguities'):
+            if getattr(options, name) and options.motion_model != 'range_doppler':
+                raise ParameterError(
+                    f'{name} needs motion_model range_doppler, got {options.motion_model}')
         # Thresholds for numbers of frames and shapes, each with the frame interval it is for.
         self._thresholds: dict[tuple, list[tuple[float, float]]] = {}
 

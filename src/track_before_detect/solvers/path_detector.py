@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, replace
-import functools
 import logging
 
 import numpy as np
@@ -33,7 +32,13 @@ from track_before_detect.solvers.partial_search import PartialSearch
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
 from track_before_detect.solvers.threshold import noise_frames, NoiseStudy, threshold_for
-from track_before_detect.solvers.wrap_around import once_each, strip, strip_margin
+from track_before_detect.solvers.wrap_around import (
+    doppler_margin,
+    in_frame,
+    once_each,
+    strip,
+    strip_margin,
+)
 from track_before_detect.types import Progress
 
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
@@ -173,17 +178,18 @@ class PathDetector(BatchDetector):
             acceleration = abs(rows_per_column) / (INTERVALS_TO_NEXT_DOPPLER * interval**2)
         # Crossing all Doppler bins in one interval is as fast as can be seen.
         acceleration = min(acceleration, abs(rows_per_column) * shape[1] / interval**2)
+        margin = self._doppler_margin(shape[1])
         graph = build_range_doppler_graph(
             regular_stamps(stamps), step_px=1 / self.psf.oversampling,
             rows_per_column=float(f'{rows_per_column:.3g}'),
-            still_column=shape[1] // 2 + options.doppler_offset_bins,
+            still_column=margin + shape[1] // 2 + options.doppler_offset_bins,
             max_acceleration=float(f'{acceleration * interval**2:.3g}'),
             turn_cost=self.model.turn_cost)
-        if not self._affordable(graph, shape):
+        if not self._affordable(graph, (shape[0], shape[1] + 2 * margin)):
             raise ParameterError(
                 f'a batch of {len(stamps)} maps of {shape[0]} x {shape[1]} bins is too large to '
                 f'search for accelerations up to {acceleration:.3g} bins/s^2: lower '
-                'max_acceleration_px_s2 or batch_length')
+                'max_acceleration_px_s2, doppler_ambiguities or batch_length')
         return graph
 
     def _affordable(self, graph, shape):
@@ -196,7 +202,8 @@ class PathDetector(BatchDetector):
         """Return how to find the largest statistic of any path in noise."""
         graph = self.graph(stamps, shape)
 
-        margin = self._margin(graph)
+        margin = self._margin(graph, shape[1])
+        doppler = graph.coupling is not None
 
         def searcher(crop):
             view = self._view.window(crop) if self._view else None
@@ -211,16 +218,25 @@ class PathDetector(BatchDetector):
 
             return largest
 
+        def area(size):
+            # Doppler that is ambiguous is searched in every column of the strip.
+            return graph.effective_area((size[0], size[1] + 2 * margin * doppler), margin > 0)
+
         return NoiseStudy(
             f'{graph.fingerprint()} {self.psf.key} {self.model} {self.presence} {margin > 0}',
-            functools.partial(graph.effective_area, around=margin > 0), searcher,
-            graph.coupling is not None)
+            area, searcher, doppler)
 
-    def _margin(self, graph):
+    def _margin(self, graph, width):
         """Return the columns that frames are continued by beyond a seam, 0 without one."""
-        if self.options.motion_model != 'range_bearing' or isinstance(self.psf, PlaneView):
+        if isinstance(self.psf, PlaneView):
             return 0
-        return strip_margin(graph, self.psf)
+        if self.options.motion_model == 'range_bearing':
+            return strip_margin(graph, self.psf)
+        return self._doppler_margin(width)
+
+    def _doppler_margin(self, width):
+        assert not isinstance(self.psf, PlaneView)
+        return doppler_margin(self.options.doppler_ambiguities, width, self.psf)
 
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:
@@ -234,7 +250,7 @@ class PathDetector(BatchDetector):
         shape = self._view.shape if self._view else frames.shape[1:]
         graph = self.graph(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
-        margin = self._margin(graph)
+        margin = self._margin(graph, shape[1])
         frames = np.ascontiguousarray(
             strip(frames, margin), np.complex64 if self.model.is_complex else np.float32)
         if weights is not None:
@@ -248,11 +264,13 @@ class PathDetector(BatchDetector):
         if weights is None:
             weights = np.zeros((0, 0, 0), np.float32)
         weights = np.ascontiguousarray(weights, np.float32)
+        ambiguous = self.options.doppler_ambiguities > 0
         paths = PathSet(frames, weights, self.psf, self._weight(threshold, len(frames)),
-                        self.model)
+                        self.model, shape[1] if ambiguous else None)
         result = self.solve(Task(graph, search, paths, self._times(stamps), weights))
         if margin:
-            result = replace(result, found=once_each(result.found, margin, shape[1]))
+            in_columns = in_frame if ambiguous else once_each
+            result = replace(result, found=in_columns(result.found, margin, shape[1]))
         return result
 
     def statistic(self, value: float, n_frames: int) -> float:
@@ -330,11 +348,8 @@ def _check_motion(options):
             raise ParameterError(
                 'max_speed_px_s must be left out with motion_model range_doppler, whose Doppler '
                 f'bins say how fast a target is, got {options.max_speed_px_s:g}')
-    elif options.range_bins_per_doppler_bin:
+    around = options.motion_model == 'range_bearing' or options.doppler_ambiguities > 0
+    if around and options.registration != 'none':
         raise ParameterError(
-            'range_bins_per_doppler_bin needs motion_model range_doppler, got '
-            f'{options.motion_model}')
-    if options.motion_model == 'range_bearing' and options.registration != 'none':
-        raise ParameterError(
-            'registration must be none with motion_model range_bearing, whose columns go round, '
-            f'got {options.registration}')
+            f'registration must be none with motion_model {options.motion_model}, whose columns '
+            f'go round, got {options.registration}')

@@ -40,6 +40,9 @@ class PathSet:
         lambda of a path without turns.
     model : AmplitudeModel
         Of the amplitudes.
+    period : int, optional
+        Columns after which the frames repeat, where they do: a path that explains something in
+        one of them explains it in all, though it was seen but once.
 
     Attributes
     ----------
@@ -59,8 +62,14 @@ class PathSet:
     """
 
     def __init__(self, frames: NDArray, weights: NDArray, psf: Psf | PlaneView,
-                 threshold: float, model: AmplitudeModel):
+                 threshold: float, model: AmplitudeModel, period: int | None = None):
         self.model = model
+        # Where the columns of a stamp are found again, itself included.
+        self._repeats = np.zeros((1, 2), np.int64)
+        if period is not None:
+            n_repeats = -(-frames.shape[2] // period)
+            self._repeats = np.zeros((2 * n_repeats + 1, 2), np.int64)
+            self._repeats[:, 0] = period * np.arange(-n_repeats, n_repeats + 1)
         self.frames = frames
         self._pixel_weights = np.asarray(weights, np.float32)
         self._sight = psf.sight()
@@ -83,7 +92,8 @@ class PathSet:
         self._free_rows = list(range(63, 0, -1))
         self.residual = frames.copy()
         # Frame by frame, so that no copy of all frames in double precision is made.
-        parts = (frames.real, frames.imag) if model.is_complex else (frames,)
+        once = frames[:, :, :period]
+        parts = (once.real, once.imag) if model.is_complex else (once,)
         self.energy = 0.5 * sum(
             float(np.sum(np.square(frame, dtype=np.float64))) for part in parts for frame in part)
 
@@ -174,8 +184,7 @@ class PathSet:
             self.amplitudes[path] = amplitudes[row]
             # Smaller changes vanish in the single precision of the residual.
             if np.abs(change).max() > 1e-7:
-                stamp_kernels.accumulate(
-                    self.residual, self._stamps[path], self._origins[path], -change)
+                self._accumulate(path, -change)
 
     def neighbours(self, path: int) -> NDArray[np.int64]:
         """Return the paths that overlap this one in some frame, itself included."""
@@ -264,8 +273,13 @@ class PathSet:
 
     def _take(self, path, sign):
         """Take the fit of one path off the residual (or put it back)."""
-        stamp_kernels.accumulate(self.residual, self._stamps[path], self._origins[path],
-                                 -sign * self.amplitudes[path])
+        self._accumulate(path, -sign * self.amplitudes[path])
+
+    def _accumulate(self, path, amplitudes):
+        """Add the stamps of a path to the residual, wherever they are repeated."""
+        for repeat in self._repeats:
+            stamp_kernels.accumulate(self.residual, self._stamps[path],
+                                     self._origins[path] + repeat, amplitudes)
 
     def _render(self, positions):
         size = 2 * max(optics.half for optics in self._sight.optics) + 1
@@ -290,18 +304,23 @@ class PathSet:
         self._pairs[:, path] = 0
         stamps, origins = self._stamps[path], self._origins[path]
         size = stamps.shape[1]
-        product = np.empty(len(self.frames))
-        apart = np.abs(np.array(self._origins) - origins).max(axis=2)
-        for other in np.flatnonzero(apart.min(axis=1) < size):
-            stamp_kernels.overlap(stamps, origins, self._stamps[other], self._origins[other],
-                                  product)
-            if product.any():
+        total, product = np.empty((2, len(self.frames)))
+        # Of each repeat and path, by how much it is off in the frame in which it is nearest.
+        apart = np.abs(np.array(self._origins) - origins
+                       + self._repeats[:, None, None]).max(axis=3).min(axis=2)
+        for other in np.flatnonzero(apart.min(axis=0) < size):
+            total[:] = 0.0
+            for repeat in self._repeats[apart[:, other] < size]:
+                stamp_kernels.overlap(stamps, origins, self._stamps[other],
+                                      self._origins[other] + repeat, product)
+                total += product
+            if total.any():
                 if not self._free_rows:
                     n_rows = len(self._overlaps)
                     self._overlaps = np.concatenate([self._overlaps, self._overlaps])
                     self._free_rows = list(range(2 * n_rows - 1, n_rows - 1, -1))
                 row = self._free_rows.pop()
-                self._overlaps[row] = product
+                self._overlaps[row] = total
                 self._pairs[path, other] = self._pairs[other, path] = row
 
     def _release(self, rows):

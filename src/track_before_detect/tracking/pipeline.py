@@ -119,7 +119,8 @@ class TrackingPipeline:
 
     def _period(self, prepared):
         """Return the columns after which frames begin again, None where they end."""
-        wraps = self._options.motion_model == 'range_bearing'
+        wraps = (self._options.motion_model == 'range_bearing'
+                 or self._options.doppler_ambiguities > 0)
         return prepared.frames.shape[2] if wraps else None
 
     def _check_scale(self, frame):
@@ -143,7 +144,7 @@ class TrackingPipeline:
         """Run every kernel once, on a target bright enough to pass through all stages."""
         options = self._options.replace(
             threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
-            variance=None, mask=None)
+            variance=None, mask=None, doppler_ambiguities=0)
         frames = np.random.default_rng(0).standard_normal((8, 24, 24)).astype(np.float32)
         frames[:, 10:13, 10:13] += 8
         if options.amplitudes == 'complex':
