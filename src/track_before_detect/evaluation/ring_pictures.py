@@ -15,7 +15,7 @@ _BY_METHOD = Mapping[str, NDArray]
 
 
 def draw_single(canvas: Any, means: _BY_METHOD, half_widths: _BY_METHOD, snrs: Sequence[float],
-                lengths: Sequence[int]) -> None:
+                lengths: Sequence[int], stated: Mapping[str, float]) -> None:
     """Draw Figure 6: DP, DPR and their difference, by case.
 
     Parameters
@@ -25,6 +25,9 @@ def draw_single(canvas: Any, means: _BY_METHOD, half_widths: _BY_METHOD, snrs: S
         By method, shape (C, L, S).
     snrs, lengths : sequence
         What S and L stand for.
+    stated : mapping
+        By order, what the paper says of the best P_d of its plain form at the first SNR; drawn in
+        the case in which ours is best.
     """
     titles = [f'test case {case}: {what}' for case, what in enumerate(
         ('line, v_max = 2', 'line, v_max = 1', 'arc, v_max = 1'), 1)]
@@ -34,10 +37,17 @@ def draw_single(canvas: Any, means: _BY_METHOD, half_widths: _BY_METHOD, snrs: S
         for number, style in zip(reversed(range(len(lengths))), _STYLES):
             for order in ORDERS:
                 _draw_curves(column, order, means, half_widths, (case, number), snrs, style)
+    for order, value in stated.items():
+        ours = means[f'{order}_dp'][..., 0].max(axis=1)
+        panels[0, ours.argmax()].plot(snrs[0], 100 * value, 'o', markersize=8, markeredgewidth=1.8,
+                                markerfacecolor='white', markeredgecolor=_COLOURS[order],
+                                clip_on=False, zorder=5)
     handles = [*(_handle(panels[0, 0], _COLOURS[order], '-', order.upper()) for order in ORDERS),
                *(_handle(panels[0, 0], 'black', style, f'N = {length}')
-                 for length, style in zip(reversed(lengths), _STYLES))]
-    canvas.legend(handles=handles, loc='outside upper center', ncols=6, frameon=False)
+                 for length, style in zip(reversed(lengths), _STYLES)),
+               panels[0, 0].plot([], [], 'o', markersize=8, markeredgewidth=1.8, color='black',
+                                 markerfacecolor='white', label='paper, best')[0]]
+    canvas.legend(handles=handles, loc='outside upper center', ncols=7, frameon=False)
 
 
 def draw_multi(canvas: Any, means: _BY_METHOD, half_widths: _BY_METHOD,
@@ -64,8 +74,10 @@ def draw_false(canvas: Any, means: _BY_METHOD, half_widths: _BY_METHOD,
                       1e6 * half_widths[method][case, 0], _COLOURS[order], style)
         axes.set_title(title, fontsize='medium')
         axes.set_xlabel('SNR')
-        axes.set_ylim(bottom=0)
+        axes.grid(alpha=0.25)
         axes.spines[['top', 'right']].set_visible(False)
+    # Not before all panels are drawn: they share the scale.
+    panels[0].set_ylim(bottom=0)
     panels[0].set_ylabel('false alarm rate P_f [1e-6]')
     handles = [*(_handle(panels[0], _COLOURS[order], '-', order.upper()) for order in ORDERS),
                _handle(panels[0], 'black', '--', 'DP'), _handle(panels[0], 'black', '-', 'DPR')]
