@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from track_before_detect.evaluation import compare_runs, compare_suite
+from track_before_detect.evaluation.compare_details import reasons, Standing
 from track_before_detect.evaluation.compare_runs import SCENES
 from track_before_detect.evaluation.report import write_suite_result
 from track_before_detect.evaluation.runner import Runner
@@ -42,8 +43,18 @@ def test_bright_targets_of_a_scene_are_found_by_ours():
     done = compare_runs.search(item)['convex']
     assert (done['found'], done['false']) == (2, 0)
     assert done['gospa'] < 5.0
+    assert 1.8 < done['purity'] <= 2 and 1.8 < done['completeness'] <= 2
     empty = compare_runs.search({**item, 'scene': 'noise', 'snr': 0.0})['convex']
-    assert empty == {'found': 0, 'false': 0, 'gospa': 0.0}
+    assert empty == {'found': 0, 'false': 0, 'gospa': 0.0, 'purity': 0.0, 'completeness': 0.0}
+
+
+def test_statistics_are_told_apart_by_whether_they_are_of_a_target():
+    methods = {'greedy': {'detector': 'greedy', 'threshold': 5.5}}
+    done = compare_runs.statistics({'scene': 'line', 'snr': 8.0, 'seed': 3, 'methods': methods})
+    assert len(done['greedy']['right']) == 1 and done['greedy']['right'][0] > 25
+    noise = compare_runs.statistics({'scene': 'noise', 'snr': 0.0, 'seed': 3, 'methods': {
+        'greedy': {'detector': 'greedy', 'threshold': 4.0}}})['greedy']
+    assert not noise['right'] and min(noise['false']) > 4
 
 
 @pytest.fixture
@@ -60,10 +71,18 @@ def stand_ins(monkeypatch):
             best = {'convex': 'crossing' not in item['scene'],
                     'greedy': 'crossing' in item['scene']}.get(name, item['seed'] % 3 == 0)
             results[name] = {'found': n_targets * best, 'false': int(name == 'mt_dp'),
-                             'gospa': 0.0 if best else 7.0}
+                             'gospa': 0.0 if best else 7.0, 'purity': 0.9 * n_targets * best,
+                             'completeness': 0.8 * n_targets * best}
         return results
 
+    def statistics(item):
+        noise = item['scene'] == 'noise'
+        return {name: {'right': [] if noise else [7.0],
+                       'false': [6.0] if noise and item['seed'] % 5 == 0 else []}
+                for name in item['methods']}
+
     monkeypatch.setattr(compare_runs, 'search', search)
+    monkeypatch.setattr(compare_runs, 'statistics', statistics)
 
 
 def test_report_names_the_best_method_of_each_scene(stand_ins, tmp_path):
@@ -77,15 +96,39 @@ def test_report_names_the_best_method_of_each_scene(stand_ins, tmp_path):
     ahead = values['arc, SNR 3: convex minus the best other']
     assert ahead.value > 0 and ahead.note.endswith('convex is best')
     assert values['noise of 6 x 50 x 50 with a trajectory: mt_dp'].value == 1.0
-    assert len(result.rows) == (8 * 3 * 12 + 2 * 24) * (len(DETECTORS) + 2)
+    assert len(result.rows) == (8 * 3 * 12 + 2 * 24) * (len(DETECTORS) + 3)
+    # Ours is the one told that targets may enter, and is as good as any there but "convex".
+    entering = values['enters, SNR 2: convex, partial minus the best other']
+    assert entering.value == 0 and entering.note.endswith('convex, partial is best')
     write_suite_result(tmp_path, 'compare', result, 'the command')
     report = (tmp_path / 'report.md').read_text()
-    assert '| arc | 3 | **100** |' in report
-    assert (tmp_path / 'compare_scenes.png').exists()
+    assert '| arc | 3 | **100** |' in report and '| arc | 3 | 80 |' in report
+    assert '| arc | 3 | 90 |' in report
+    assert '- two crossing, SNR 2: nothing that greedy is told explains it.' in report
+    assert '- arc' not in report and '- enters' not in report
+    assert '| mt_dp | 100.0 (75.8 to 100.0) |' in report
+    assert (tmp_path / 'compare_scenes.png').exists() and (tmp_path / 'compare_roc.png').exists()
+
+
+def standing(gain, high, scene='line', ours='convex', rival='velocity_filter', **found):
+    found = {'convex': 0.7, 'convex, straight': 0.8, 'convex, fluctuating': 0.5,
+             'convex, partial': 0.4, rival: 0.8, **found}
+    return Standing(scene, 1.5, ours, rival, gain, -0.2, high, found)
 
 
 @pytest.mark.parametrize(('gain', 'high', 'said'), [
     (0.0, 0.1, 'best'), (-0.02, 0.0, 'within 2 points'), (-0.1, 0.01, 'within chance'),
     (-0.1, -0.01, 'behind')])
 def test_verdicts(gain, high, said):
-    assert compare_suite._verdict(gain, -0.2, high).endswith(said)
+    assert standing(gain, high).verdict.endswith(said)
+
+
+def test_reasons_are_given_where_ours_is_behind_and_follow_the_numbers():
+    assert reasons([standing(-0.02, 0.0)]).endswith('Nowhere.')
+    text = reasons([standing(-0.1, -0.01), standing(0.1, 0.2, 'arc')])
+    assert 'Told the same, it finds 80.0 % (+0.0 points to velocity_filter), so motion' in text
+    assert 'arc' not in text
+    text = reasons([standing(-0.1, -0.01, **{'convex, straight': 0.75})])
+    assert '(-5.0 points to velocity_filter), so the freedom to turn is not all of it.' in text
+    text = reasons([standing(-0.4, -0.01, 'enters', 'convex, partial', 'pc_dp')])
+    assert 'it finds' not in text and 'with it 70.0 %, free to enter and leave 40.0 %' in text

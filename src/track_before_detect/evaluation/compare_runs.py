@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from track_before_detect.evaluation.matching import match_trajectories
 from track_before_detect.evaluation.parallel_scenes import SIX_STATES
 from track_before_detect.evaluation.ring_scenes import ring_multi
+from track_before_detect.evaluation.track_metrics import track_quality
 from track_before_detect.evaluation.trajectory_gospa import trajectory_gospa
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
@@ -50,8 +51,45 @@ def search(item: Item) -> dict[str, dict[str, float]]:
     -------
     dict
         By method: targets ``found`` by a trajectory less than :data:`FOUND_PX` from them on
-        average, ``false`` trajectories, and the ``gospa`` distance in pixels.
+        average, ``false`` trajectories, the ``gospa`` distance in pixels, and the sums of the
+        ``purity`` of trajectories and of the ``completeness`` of targets.
     """
+    truth, searched = _searched(item)
+    results = {}
+    for name, trajectories in searched:
+        found = [one.positions for one in trajectories]
+        matched = len(match_trajectories(found, truth, FOUND_PX).pairs)
+        gospa = trajectory_gospa(found, truth, cutoff_px=CUTOFF_PX, switch_px=SWITCH_PX)
+        quality = track_quality(found, truth, FOUND_PX)
+        results[name] = {'found': matched, 'false': len(found) - matched,
+                         'gospa': gospa.distance, 'purity': float(np.sum(quality.purity)),
+                         'completeness': float(np.sum(quality.completeness))}
+    return results
+
+
+def statistics(item: Item) -> dict[str, dict[str, list[float]]]:
+    """Search one batch by all methods; arguments as of :func:`search`.
+
+    Returns
+    -------
+    dict
+        By method: the statistics of trajectories that are ``right``, each of another target, and
+        of all others, ``false``.
+    """
+    truth, searched = _searched(item)
+    results = {}
+    for name, trajectories in searched:
+        pairs = match_trajectories([one.positions for one in trajectories], truth, FOUND_PX).pairs
+        right = set(pairs[:, 0].tolist())
+        results[name] = {
+            label: [float(one.statistic) for number, one in enumerate(trajectories)
+                    if (number in right) is wanted]
+            for label, wanted in (('right', True), ('false', False))}
+    return results
+
+
+def _searched(item):
+    """Return the targets of a batch, and an iterator over method and trajectories."""
     rng = np.random.default_rng(item['seed'])
     shape = shape_of(item['scene'])
     make = SCENES.get(item['scene'])
@@ -62,15 +100,8 @@ def search(item: Item) -> dict[str, dict[str, float]]:
             if np.isfinite(x):
                 add_target(frame, x, y, SIGMA_PX, item['snr'])
     stamps = np.arange(float(shape[0]))
-    results = {}
-    for name, options in item['methods'].items():
-        found = [one.positions for one in _detector(tuple(sorted(options.items()))).detect(
-            frames, stamps).found]
-        matched = len(match_trajectories(found, truth, FOUND_PX).pairs)
-        gospa = trajectory_gospa(found, truth, cutoff_px=CUTOFF_PX, switch_px=SWITCH_PX)
-        results[name] = {'found': matched, 'false': len(found) - matched,
-                         'gospa': gospa.distance}
-    return results
+    return truth, ((name, _detector(tuple(sorted(options.items()))).detect(frames, stamps).found)
+                   for name, options in item['methods'].items())
 
 
 def shape_of(scene: str) -> tuple[int, int, int]:

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.evaluation import compare_runs
+from track_before_detect.evaluation import compare_details, compare_pictures, compare_runs
+from track_before_detect.evaluation.compare_details import Standing
 from track_before_detect.evaluation.compare_runs import SCENES
 from track_before_detect.evaluation.confidence import bootstrap_interval
 from track_before_detect.evaluation.report import markdown_table, Quantity, share, SuiteResult
+from track_before_detect.evaluation.roc import roc
 from track_before_detect.evaluation.runner import Runner
 from track_before_detect.evaluation.runs import checked_runs, seeds_of
 from track_before_detect.options import DetectorOptions, DETECTORS
@@ -18,22 +22,26 @@ from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
 SNRS = (1.5, 2.0, 3.0)
 RATE = 0.05
 OURS = 'convex'
-# The convex detector without what is known of the targets.
+STRAIGHT, FLUCTUATING, PARTIAL = 'convex, straight', 'convex, fluctuating', 'convex, partial'
+# The convex detector told more or less of the targets.
 VARIANTS = {
-    'convex, fluctuating': {'detector': OURS, 'amplitude_model': 'fluctuating'},
-    'convex, partial': {'detector': OURS, 'amplitude_model': 'fluctuating',
-                        'presence': 'partial'},
+    STRAIGHT: {'detector': OURS, 'amplitude_model': 'constant',
+               'motion_model': 'constant_velocity'},
+    FLUCTUATING: {'detector': OURS, 'amplitude_model': 'fluctuating'},
+    PARTIAL: {'detector': OURS, 'amplitude_model': 'fluctuating', 'presence': 'partial'},
 }
+# Scenes whose question is when a target is there: ours is told that it may enter and leave.
+PARTIAL_SCENES = ('enters', 'leaves')
+# Where the threshold is varied, and the false alarm rate that trajectories are taken down to.
+ROC_SCENE, ROC_SNR, ROC_RATE = 'line', 1.5, 0.5
 NOISES = ('noise', 'noise six')
-# Points by which the convex detector may be behind.
-MARGIN = 0.02
 
 
 def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
     """Search all scenes by all detectors; arguments as of every suite."""
     checked_runs(runs, seed)
     wanted, refused = _methods()
-    by_noise = {noise: _with_thresholds(wanted, noise, runner) for noise in NOISES}
+    by_noise = {noise: _with_thresholds(wanted, noise, RATE, runner) for noise in NOISES}
 
     def items_of(scene, snr, count):
         methods = by_noise[NOISES[compare_runs.shape_of(scene) == compare_runs.SIX]]
@@ -45,6 +53,7 @@ def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
     noise_items = [item for noise in NOISES for item in items_of(noise, 0.0, 2 * runs)]
     noise = runner.map(compare_runs.search, noise_items, 'searching noise')
     names = list(wanted)
+    curves = _rocs(wanted, runs, seed, runner)
 
     def gathered(key):
         return np.array([[result[name][key] for name in names] for result in results],
@@ -59,25 +68,45 @@ def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
             for item, result in zip(items + noise_items, results + noise, strict=True)
             for name in names]
     leaders = _leaders(found, names)
+    standings = _standings(found, names)
     return SuiteResult(
         'Every detector on the same scenes',
         f'{runs} batches per scene and SNR: 20 frames of 96 x 96 pixels (the six targets of Guo '
         'et al. 2018, Section 4.2: 6 frames of 50 x 50), PSF of 1 px, targets of constant '
-        'amplitude, which every method is told; "convex, fluctuating" is the convex detector '
-        'without that knowledge, "convex, partial" also without that of targets being there in '
-        'all frames. Lines and arcs (20 px radius) at 0.2 to 1 px/frame, two parallel '
-        'targets 5 px apart, two that cross at right angles, the three of Fu et al. 2022, Figure '
+        f'amplitude, which every method is told; "{FLUCTUATING}" is the convex detector without '
+        f'that knowledge, "{PARTIAL}" also without that of targets being there in all frames, and '
+        f'"{STRAIGHT}" is told, as velocity_filter is, that they move on straight lines. In the '
+        f'scenes {" and ".join(PARTIAL_SCENES)} ours is "{PARTIAL}", in all others "{OURS}". '
+        'Lines and arcs (20 px radius) at 0.2 to 1 px/frame, two parallel targets 5 px apart, two that cross at right angles, the three of Fu et al. 2022, Figure '
         f'7, frames 20 to 39, and a line that is there in the last or first '
         f'{compare_runs.PRESENT} frames. Thresholds for {100 * RATE:g} % of noise batches with a '
         'trajectory, each calibrated by its own method. A target is found by a trajectory less '
         f'than {compare_runs.FOUND_PX:g} px from it on average that is there in at least half of '
         'its frames; each counts once. Intervals: bootstrap over batches, which all methods '
         'saw; Wilson for noise.' + (f' Not compared: {"; ".join(refused)}.' if refused else ''),
-        rows, _quantities(found, names, leaders, alarms),
+        rows, _quantities(found, names, leaders, standings, alarms),
         {'runs': runs, 'seed': seed, 'snrs': SNRS, 'methods': by_noise},
-        lambda figure: _draw(figure, found.mean(axis=2), names),
-        {'scenes': _draw_scenes},
-        _details(found, gathered('gospa'), gathered('false'), names, leaders))
+        lambda figure: compare_pictures.draw_found(figure, found.mean(axis=2), SNRS, names, RATE),
+        {'scenes': compare_pictures.draw_scenes,
+         'roc': lambda figure: compare_pictures.draw_roc(figure, curves, RATE, OURS)},
+        '\n\n'.join([compare_details.reasons(standings),
+                     _details(gathered, found, targets, names, leaders),
+                     compare_details.roc_table(
+                         curves, f'{ROC_SCENE}, SNR {ROC_SNR:g}, as the threshold varies')]))
+
+
+def _rocs(wanted, runs, seed, runner):
+    """Return the curve of each method in one scene, whose trajectories may be weak."""
+    methods = _with_thresholds(wanted, NOISES[0], ROC_RATE, runner)
+
+    def searched(scene, snr, count):
+        return runner.map(compare_runs.statistics, [
+            {'scene': scene, 'snr': snr, 'methods': methods, 'seed': one}
+            for one in seeds_of(seed, f'roc {scene} {snr:g}', count)], 'varying the threshold')
+
+    of_targets, of_noise = searched(ROC_SCENE, ROC_SNR, runs), searched(NOISES[0], 0.0, 2 * runs)
+    return {name: roc([max(one[name]['right'], default=np.nan) for one in of_targets],
+                      [one[name]['false'] for one in of_noise]) for name in methods}
 
 
 def _methods():
@@ -97,44 +126,61 @@ def _methods():
     return wanted, refused
 
 
-def _with_thresholds(wanted, noise, runner):
+def _with_thresholds(wanted, noise, rate, runner):
     """Return options with the threshold for batches of the size of a scene of noise."""
     n_frames, height, width = compare_runs.shape_of(noise)
     made = {}
     for name, options in wanted.items():
         detector = DETECTOR_CLASSES[options['detector']](
-            DetectorOptions.from_mapping({**options, 'false_alarm_rate': RATE}))
+            DetectorOptions.from_mapping({**options, 'false_alarm_rate': rate}))
         made[name] = {**options, 'threshold': detector.threshold(
             np.arange(float(n_frames)), (height, width), runner.progress)}
     return made
 
 
+def ours_in(scene: str) -> str:
+    """Return the name under which the convex detector stands in a scene."""
+    return PARTIAL if scene in PARTIAL_SCENES else OURS
+
+
 def _leaders(found, names) -> NDArray[np.int64]:
     """Return which method finds most by scene and SNR, of equal ones ours."""
     means = found.mean(axis=2)
-    ours = np.array([name == OURS for name in names])
-    return np.argmax(means + 1e-9 * ours, axis=2)
+    for number, scene in enumerate(SCENES):
+        means[number, :, names.index(ours_in(scene))] += 1e-9
+    return np.argmax(means, axis=2)
 
 
-def _quantities(found, names, leaders, alarms):
-    quantities = []
-    ours = names.index(OURS)
+def _standings(found, names):
+    """Compare ours with the best other method, by scene and SNR."""
     others = [number for number, name in enumerate(names) if name not in (OURS, *VARIANTS)]
-    for scene, label in enumerate(SCENES):
-        for point, snr in enumerate(SNRS):
-            by_run = found[scene, point]
-            rival = others[int(np.argmax(by_run.mean(axis=0)[others]))]
-            leader = leaders[scene, point]
-            quantities.append(Quantity(
-                f'{label}, SNR {snr:g}: best method', float(by_run[:, leader].mean()),
-                *bootstrap_interval(by_run[:, leader], lambda drawn: float(drawn.mean())),
-                len(by_run), 'batches', '%', '; '.join(_equal_to(leader, by_run, names))))
-            gain = by_run[:, ours] - by_run[:, rival]
-            low, high = bootstrap_interval(gain, lambda drawn: float(drawn.mean()))
-            quantities.append(Quantity(
-                f'{label}, SNR {snr:g}: convex minus the best other', float(gain.mean()), low,
-                high, len(by_run), 'batches', '%',
-                f'best other: {names[rival]}; {_verdict(gain.mean(), low, high)}'))
+    standings = []
+    for (scene, label), (point, snr) in itertools.product(enumerate(SCENES), enumerate(SNRS)):
+        by_run = found[scene, point]
+        means = by_run.mean(axis=0)
+        rival = others[int(np.argmax(means[others]))]
+        gain = by_run[:, names.index(ours_in(label))] - by_run[:, rival]
+        standings.append(Standing(
+            label, snr, ours_in(label), names[rival], float(gain.mean()),
+            *bootstrap_interval(gain, lambda drawn: float(drawn.mean())),
+            dict(zip(names, means.tolist(), strict=True))))
+    return standings
+
+
+def _quantities(found, names, leaders, standings, alarms):
+    quantities = []
+    points = itertools.product(range(len(SCENES)), range(len(SNRS)))
+    for (scene, point), standing in zip(points, standings, strict=True):
+        by_run, leader = found[scene, point], leaders[scene, point]
+        at = f'{standing.scene}, SNR {standing.snr:g}'
+        quantities.append(Quantity(
+            f'{at}: best method', float(by_run[:, leader].mean()),
+            *bootstrap_interval(by_run[:, leader], lambda drawn: float(drawn.mean())),
+            len(by_run), 'batches', '%', '; '.join(_equal_to(leader, by_run, names))))
+        quantities.append(Quantity(
+            f'{at}: {standing.ours} minus the best other', standing.gain, standing.low,
+            standing.high, len(by_run), 'batches', '%',
+            f'best other: {standing.rival}; {standing.verdict}'))
     for number, noise in enumerate(NOISES):
         shape = ' x '.join(map(str, compare_runs.shape_of(noise)))
         for method, name in enumerate(names):
@@ -152,70 +198,32 @@ def _equal_to(leader, by_run, names):
                              if number != leader and means[number] >= means[leader])]
 
 
-def _verdict(gain, low, high):
-    """Say how the convex detector stands to the best other."""
-    if gain >= 0:
-        return 'convex is best'
-    if gain >= -MARGIN:
-        return 'convex is within 2 points'
-    return 'convex is behind' if high < 0 else 'convex is behind, within chance'
-
-
-def _details(found, gospa, false, names, leaders):
-    lines = []
-    for title, values, factor, digits in (
-            ('Targets found in per cent; the best in bold', found, 100, 0),
+def _details(gathered, found, targets, names, leaders):
+    n_targets = targets[:, None, None]
+    false = gathered('false').mean(axis=2)
+    n_tracks = (gathered('found') + gathered('false')).mean(axis=2)
+    purity = np.divide(gathered('purity').mean(axis=2), n_tracks,
+                       out=np.full(n_tracks.shape, np.nan), where=n_tracks > 0)
+    lines: list[str] = []
+    for title, means, digits in (
+            ('Targets found in per cent; the best in bold', 100 * found.mean(axis=2), 0),
             (f'GOSPA in pixels per batch (order 2, cutoff {compare_runs.CUTOFF_PX:g} px, change '
-             f'of identity {compare_runs.SWITCH_PX:g} px), mean', gospa, 1, 1),
-            ('False trajectories per batch with targets', false, 1, 2)):
-        means = factor * values.mean(axis=2)
+             f'of identity {compare_runs.SWITCH_PX:g} px), mean',
+             gathered('gospa').mean(axis=2), 1),
+            ('False trajectories per batch with targets', false, 2),
+            (f'Completeness of targets in per cent: frames within {compare_runs.FOUND_PX:g} px of '
+             'the one trajectory that has most of them',
+             100 * gathered('completeness').mean(axis=2) / n_targets, 0),
+            ('Purity of trajectories in per cent: frames near the one target that has most of '
+             'them', 100 * purity, 0)):
         rows = []
         for scene, label in enumerate(SCENES):
             for point, snr in enumerate(SNRS):
-                cells = [f'{value:.{digits}f}' for value in means[scene, point]]
-                if values is found:
+                cells = ['-' if np.isnan(value) else f'{value:.{digits}f}'
+                         for value in means[scene, point]]
+                if not lines:
                     leader = leaders[scene, point]
                     cells[leader] = f'**{cells[leader]}**'
                 rows.append((label, f'{snr:g}', *cells))
         lines += [f'## {title}', '', *markdown_table(('scene', 'SNR', *names), rows), '']
     return '\n'.join(lines).rstrip()
-
-
-def _draw(figure, means, names):
-    """Draw the share of targets found as a table in colours."""
-    figure.set_size_inches(11, 9)
-    axes = figure.subplots()
-    table = 100 * means.reshape(-1, len(names))
-    image = axes.imshow(table, vmin=0, vmax=100, cmap='viridis', aspect='auto')
-    for row, values in enumerate(table):
-        for column, value in enumerate(values):
-            axes.text(column, row, f'{value:.0f}', ha='center', va='center', fontsize='small',
-                      color='black' if value > 60 else 'white',
-                      fontweight='bold' if value >= values.max() else 'normal')
-    axes.set_xticks(np.arange(len(names)), names, rotation=35, ha='left')
-    axes.xaxis.tick_top()
-    labels = [f'{scene}, SNR {snr:g}' for scene in SCENES for snr in SNRS]
-    axes.set_yticks(np.arange(len(labels)), labels)
-    for edge in np.arange(len(SNRS), len(labels), len(SNRS)):
-        axes.axhline(edge - 0.5, color='white', linewidth=2)
-    axes.tick_params(length=0)
-    figure.colorbar(image, label=f'targets found at {100 * RATE:g} % false alarms [%]', shrink=0.6)
-
-
-def _draw_scenes(figure):
-    """Draw one example of each scene, from the first frame (dark) to the last."""
-    figure.set_size_inches(11, 5.8)
-    for number, (axes, (label, make)) in enumerate(
-            zip(figure.subplots(2, 4).ravel(), SCENES.items(), strict=True)):
-        paths = make(np.random.default_rng(number))
-        low, high = np.nanmin(paths, axis=(0, 1)), np.nanmax(paths, axis=(0, 1))
-        half = 0.5 * (high - low).max() + 4
-        for path in paths:
-            axes.scatter(*path.T, c=np.arange(len(path)), s=14, cmap='plasma')
-        for limits, middle in ((axes.set_xlim, 0.5 * (low + high)[0]),
-                               (axes.set_ylim, 0.5 * (low + high)[1])):
-            limits(middle - half, middle + half)
-        axes.invert_yaxis()
-        axes.set_aspect('equal')
-        axes.set_title(label, fontsize='medium')
-        axes.grid(alpha=0.25)
