@@ -125,7 +125,7 @@ class EveryPath:
             member |= np.isin(np.arange(len(weights)), np.argsort(-excess)[:5]) & (excess > 1)
 
     def _columns(self, member):
-        """Return the columns of some paths, (n, K, pixels): K frames, or one of all if constant."""
+        """Return the columns of paths, (n, K, pixels): K frames, or one of all if constant."""
         n_frames = self.stamps.shape[0]
         stamps = self.stamps[np.arange(n_frames), self.cells[member]]
         if self.constant:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-import naive
 from enumeration import EveryPath
+import naive
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph
