@@ -41,6 +41,23 @@ class FoundTrajectory:
 
 
 @dataclass(frozen=True)
+class Earlier:
+    """Targets that were seen in frames which the next batch holds again.
+
+    Attributes
+    ----------
+    positions : list of array, shape (T, 2)
+        x and y of each in pixels of the prepared frames of the next batch, the strongest first;
+        NaN where the target was absent or the frame is new.
+    known : array of bool, shape (T,)
+        Which frames are not new.
+    """
+
+    positions: list[NDArray[np.float64]]
+    known: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
 class BatchResult:
     """What was found in one batch; fields as in DetectionResult."""
 
@@ -59,6 +76,11 @@ class BatchDetector(ABC):
     options : DetectorOptions
         What to look for, and the threshold or the rate it follows from.
 
+    Attributes
+    ----------
+    earlier : Earlier or None
+        To be set before each batch; a detector that begins afresh takes no notice.
+
     Raises
     ------
     ParameterError
@@ -72,6 +94,7 @@ class BatchDetector(ABC):
 
     def __init__(self, options: DetectorOptions):
         self.options = options
+        self.earlier: Earlier | None = None
         if not self.takes_any_psf:
             for name, plain in (('psf', None), ('psf_model', 'gaussian')):
                 if getattr(options, name) != plain:

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_before_detect.solvers.path_search import PathSearch
+from track_before_detect.solvers.path_search import FoundPath, PathSearch
 from track_before_detect.solvers.path_set import FIT_GAP, PathSet
 from track_before_detect.solvers.refinement import Refiner
 from track_before_detect.types import Step
@@ -97,7 +97,7 @@ class PursuitResult:
 
 
 def pursue(search: PathSearch, refiner: Refiner, paths: PathSet, separation: float,
-           settings: PursuitSettings) -> PursuitResult:
+           settings: PursuitSettings, start: Sequence[FoundPath] = ()) -> PursuitResult:
     """Find all paths jointly.
 
     Parameters
@@ -107,11 +107,13 @@ def pursue(search: PathSearch, refiner: Refiner, paths: PathSet, separation: flo
     refiner : Refiner
         Moves a path off the grid.
     paths : PathSet
-        Starts empty, or with the paths of an earlier batch.
+        Starts empty.
     separation : float
         Pixels; new paths of one search end at least this far apart.
     settings : PursuitSettings
         Schedule and tolerances.
+    start : sequence of FoundPath
+        Paths that are tried before the first search, in this order.
     """
     history: list[Step] = []
     status = 'converged'
@@ -120,6 +122,8 @@ def pursue(search: PathSearch, refiner: Refiner, paths: PathSet, separation: flo
         last = number == len(settings.continuation) - 1
         tolerance = settings.tolerance if last else settings.stage_tolerance
         stage = _Stage(search, refiner, paths, separation, t_convex, last)
+        if number == 0:
+            stage.begin(start)
         if number == 0 or last or t_convex == 1.0:
             largest, finished = stage.run(tolerance, settings.most_rounds, history)
         else:
@@ -179,6 +183,11 @@ class _Stage:
             self._fit_gap = FIT_GAP if last else STAGE_GAP * paths.threshold**2
         self._last = last
         self._most_passes = MOST_PASSES if last and t_convex < 1 else 1
+
+    def begin(self, start):
+        """Add the paths to start with that are worth it."""
+        for path in start:
+            self._try_adding(path)
 
     def run(self, tolerance, most_rounds, history):
         """Alternate between improving the paths at hand and searching for new ones."""

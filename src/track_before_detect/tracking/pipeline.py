@@ -19,6 +19,7 @@ from track_before_detect.solvers.merit_functions import METHODS
 from track_before_detect.solvers.mt_dp import MtDpDetector
 from track_before_detect.solvers.pc_dp import PcDpDetector
 from track_before_detect.solvers.velocity_filter import VelocityFilterDetector
+from track_before_detect.tracking.carried_over import carried_over
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
@@ -53,6 +54,7 @@ class TrackingPipeline:
         self._detector = DETECTOR_CLASSES[options.detector](options)
         self._stitcher: Stitcher = (
             earlier._stitcher if earlier else Stitcher(options.psf_sigma_px))
+        self._before: list[Trajectory] = []
         self._scale_is_known = options.noise != 'none'
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
@@ -101,6 +103,8 @@ class TrackingPipeline:
         _check(batch)
         prepared = prepare(batch, self._options)
         self._check_scale(prepared.frames[len(batch) // 2])
+        self._detector.earlier = carried_over(
+            self._before, prepared.frame_indices, prepared.maps)
         result = self._detector.detect_weighted(
             prepared.frames, prepared.stamps, prepared.weights, progress)
         weighted = prepared.weights is not None and self._detector.weighs_pixels
@@ -110,12 +114,14 @@ class TrackingPipeline:
                         for found in result.found]
         trajectories = [trajectory for trajectory in trajectories
                         if np.isfinite(trajectory.positions).any()]
-        return DetectionResult(self._stitcher.link(trajectories, period), result.threshold,
-                               result.status, result.history, result.gap)
+        self._before = self._stitcher.link(trajectories, period)
+        return DetectionResult(list(self._before), result.threshold, result.status,
+                               result.history, result.gap)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
         self._stitcher.reset()
+        self._before = []
 
     def _period(self, prepared):
         """Return the columns after which frames begin again, None where they end."""

@@ -19,6 +19,7 @@ from track_before_detect.solvers.batch_detector import FoundTrajectory
 from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector, psf_of
+from track_before_detect.tracking.carried_over import carried_over
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
@@ -155,6 +156,7 @@ class SensorPipeline:
         self._array = array
         self._options = options
         self._stitcher: Stitcher | None = None
+        self._before: list[Trajectory] = []
 
     def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of a batch; positions are those of the common plane."""
@@ -172,13 +174,16 @@ class SensorPipeline:
             units[rows, :height, :width] = self._array.noise_sigmas[sensor] * (
                 prepared.noise_level if plain else prepared.unit)
         detector = DETECTORS[self._options.detector](self._options, view)
+        on_plane = np.tile(geometry.translations(self._array.origin[None]), (len(batch), 1, 1))
+        detector.earlier = carried_over(self._before, batch.frame_indices, on_plane)
         result = detector.detect_weighted(
             frames, batch.stamps, None if np.all(weights == 1) else weights, progress)
         if self._stitcher is None:
             self._stitcher = Stitcher(view.width_px)
         trajectories = [self._on_plane(found, view, units, batch) for found in result.found]
-        return DetectionResult(self._stitcher.link(trajectories), result.threshold,
-                               result.status, result.history, result.gap)
+        self._before = self._stitcher.link(trajectories)
+        return DetectionResult(list(self._before), result.threshold, result.status,
+                               result.history, result.gap)
 
     def _prepared(self, batch, rows, sensor) -> PreparedBatch:
         height, width = self._array.shapes[sensor]
