@@ -82,22 +82,20 @@ class EveryPath:
         return np.linalg.norm(np.maximum(seen, 0) if self.kind == 'non-negative' else seen,
                               axis=1)
 
-    def weights_of(self, threshold, turn_frames=None):
+    def weights_of(self, threshold):
         """Return lambda of every path."""
         if self.constant:
-            return threshold + self.turn_prices(turn_frames)
+            return threshold + self._turn_prices()
         return np.sqrt(threshold**2 + self.costs)
 
-    def turn_prices(self, turn_frames):
+    def _turn_prices(self):
         """Return the cost of the turns on the scale of the statistic of a constant amplitude."""
-        if turn_frames is None:
-            return self.costs
-        return self.costs * turn_frames / np.maximum(self.total, 1e-300)
+        return self.costs * np.sqrt(len(self.stamps)) / np.maximum(self.total, 1e-300)
 
-    def values(self, frames, turn_frames=None):
+    def values(self, frames):
         """Return statistic less cost as the search adds them up."""
         if self.constant:
-            return self.statistics(frames) - self.turn_prices(turn_frames)
+            return self.statistics(frames) - self._turn_prices()
         return self.statistics(frames)**2 - self.costs
 
     def optimum(self, frames, weights, tolerance):

@@ -9,6 +9,7 @@ from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph
 from track_before_detect.solvers import path_table
+from track_before_detect.solvers.constant_search import ConstantSearch
 from track_before_detect.solvers.fit_paths import fit_paths
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
@@ -19,7 +20,7 @@ T, SHAPE = 5, (6, 8)
 STAMPS = np.arange(float(T))
 NO_WEIGHTS = np.zeros((0, 0, 0), np.float32)
 THRESHOLD = 3.0
-KINDS = ['non-negative', 'signed', 'complex', 'non-negative constant']
+KINDS = ['non-negative', 'signed', 'complex', 'non-negative constant', 'signed constant']
 NOISES = ['white', 'variance', 'mask']
 PSFS = {'gaussian': GaussianPsf(2.0), 'integrated': GaussianPsf(2.0, integrated=True)}
 
@@ -68,7 +69,8 @@ class Scene:
         self.frames = frames.astype(np.complex64 if name == 'complex' else np.float32)
 
     def search(self):
-        search = PathSearch(self.graph, self.psf, SHAPE, self.model)
+        kind = ConstantSearch if self.model.is_constant else PathSearch
+        search = kind(self.graph, self.psf, SHAPE, self.model)
         search.set_weights(self.weights)
         return search
 
@@ -81,11 +83,7 @@ class Scene:
         return Refiner(self.graph, self.psf, STAMPS, weights, self.model)
 
 
-def even_if_constant(kind, noise):
-    return 'constant' not in kind or noise == 'white'
-
-
-CASES = [(kind, noise) for kind in KINDS for noise in NOISES if even_if_constant(kind, noise)]
+CASES = [(kind, noise) for kind in KINDS for noise in NOISES]
 
 
 @pytest.mark.parametrize('psf', PSFS)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from false_alarms import assert_rate_is_realised
 import naive
 import track_before_detect as tbd
 from track_before_detect.models.psf import ArrayPsf, GaussianPsf
@@ -169,3 +170,67 @@ def test_real_part_of_a_complex_scene_is_that_of_a_signed_one(masked):
 def test_frames_and_amplitudes_that_do_not_go_together_are_refused(dtype, options, words):
     with pytest.raises(tbd.TbdError, match=words):
         detect(np.zeros((T, *SHAPE), dtype), **options)
+
+
+@pytest.mark.parametrize('sign', [1, -1])
+@pytest.mark.parametrize('noise', ['none', 'variance', 'variances', 'mask', 'masks'])
+@pytest.mark.parametrize('detector', ['convex', 'greedy'])
+def test_what_is_constant_is_the_amplitude_of_the_target_itself(detector, noise, sign):
+    generator = np.random.default_rng(6)
+    shape = (T, *SHAPE) if noise.endswith('s') else SHAPE
+    frames = picture(GaussianPsf(1.0), PATH, np.full(T, sign * 25.0))
+    options = {'motion_model': 'constant_velocity'}
+    if noise.startswith('mask'):
+        options['mask'] = generator.random(shape) < 0.3
+        frames = np.where(options['mask'], 1e6, frames)
+    elif noise.startswith('variance'):
+        options['variance'] = generator.uniform(0.2, 4.0, shape)
+    found = detect(frames, amplitude_model='constant', amplitudes='signed', detector=detector,
+                   **options)[0]
+    tolerance = 5e-3 if detector == 'convex' else 0.2
+    np.testing.assert_allclose(found.amplitudes, sign * 25.0, rtol=tolerance)
+    assert np.ptp(found.amplitudes) < 1e-3
+    assert np.abs(found.positions - PATH).max() < (0.05 if detector == 'convex' else 1.0)
+    # The statistic is that of the amplitude over the noise left to it.
+    if noise == 'none':
+        assert found.statistic == pytest.approx(25 * np.sqrt(T), rel=1e-2 + tolerance)
+        assert found.snr == pytest.approx(sign * 25, rel=tolerance)
+
+
+def test_dark_target_is_found_when_constant_amplitudes_are_signed():
+    generator = np.random.default_rng(9)
+    frames = generator.standard_normal((T, *SHAPE))
+    frames -= picture(GaussianPsf(1.0), PATH, np.full(T, 5.0))
+    [found] = detect(frames, amplitudes='signed', amplitude_model='constant')
+    assert np.abs(found.positions - PATH).max() < 1.0
+    assert -6.0 < found.amplitudes.mean() < -4.0
+    assert not detect(frames, amplitude_model='constant')
+
+
+@pytest.mark.parametrize('presence', ['full', 'partial'])
+def test_constant_amplitudes_of_either_sign_are_those_of_the_turned_frames(presence):
+    generator = np.random.default_rng(10)
+    frames = generator.standard_normal((T, *SHAPE))
+    frames += picture(GaussianPsf(1.0), PATH, np.full(T, 6.0))
+    options = {'amplitudes': 'signed', 'amplitude_model': 'constant', 'presence': presence,
+               'mask': generator.random(SHAPE) < 0.1}
+    if presence == 'partial':
+        with pytest.raises(tbd.ParameterError, match='presence partial'):
+            detect(frames, **options)
+        return
+    [bright], [dark] = detect(frames, **options), detect(-frames, **options)
+    np.testing.assert_allclose(dark.positions, bright.positions, atol=1e-6)
+    np.testing.assert_allclose(dark.amplitudes, -bright.amplitudes, rtol=1e-6)
+    assert dark.statistic == pytest.approx(bright.statistic, rel=1e-6)
+
+
+def test_masked_noise_holds_as_many_constant_targets_as_asked_for(tmp_path, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+
+    def passes(generator):
+        frames = generator.standard_normal((6, 32, 32))
+        return bool(tbd.detect(
+            frames, amplitudes='signed', amplitude_model='constant', psf_sigma_px=2.0,
+            false_alarm_rate=0.3, mask=generator.random(frames.shape) < 0.1).trajectories)
+
+    assert_rate_is_realised(passes, 0.3, 120, 12)

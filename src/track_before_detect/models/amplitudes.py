@@ -9,29 +9,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.kernels.amplitude_codes import COMPLEX, CONSTANT, NON_NEGATIVE, SIGNED
+from track_before_detect.kernels.amplitude_codes import (
+    COMPLEX,
+    CONSTANT,
+    NON_NEGATIVE,
+    SIGNED,
+    SIGNED_CONSTANT,
+)
 
-__all__ = ['COMPLEX', 'CONSTANT', 'NON_NEGATIVE', 'SIGNED', 'AmplitudeModel']
+__all__ = ['COMPLEX', 'CONSTANT', 'NON_NEGATIVE', 'SIGNED', 'SIGNED_CONSTANT', 'AmplitudeModel']
 
 
 @dataclass(frozen=True)
 class AmplitudeModel:
     """One model of the amplitudes x of a path, with the statistic eta that goes with it.
 
-    ============ =========================================== ==============================
-    code         x                                           eta
-    ============ =========================================== ==============================
-    NON_NEGATIVE x_t >= 0, any value in each frame           square root of sum of max(h, 0)^2
-    SIGNED       any value in each frame                     square root of sum of h^2
-    COMPLEX      any complex number in each frame            square root of sum of |h|^2
-    CONSTANT     one amplitude alpha >= 0, x_t = alpha/sqrt(T) sum of h over sqrt(T)
-    ============ =========================================== ==============================
+    =============== =================================== ==================================
+    code            x                                   eta
+    =============== =================================== ==================================
+    NON_NEGATIVE    x_t >= 0, any value in each frame   square root of sum of max(h, 0)^2
+    SIGNED          any value in each frame             square root of sum of h^2
+    COMPLEX         any complex number in each frame    square root of sum of |h|^2
+    CONSTANT        x_t = alpha n_t / |n|, alpha >= 0   max(sum of n h, 0) / |n|
+    SIGNED_CONSTANT the same with alpha of either sign  magnitude of sum of n h / |n|
+    =============== =================================== ==================================
 
-    The constant model is a restriction to one dimension, so its statistic has the noise of one
-    number instead of T: it finds dimmer targets, and misses those that fluctuate. It is additive
-    along a path only while all columns have equal norm; columns cut by a border or a mask are
-    scaled to unit norm, which makes the amplitude that is taken as constant that of the scaled
-    column.
+    The constant models are a restriction to one dimension, so their statistic has the noise of
+    one number instead of T: they find dimmer targets, and miss those that fluctuate. What is
+    constant is the amplitude of the target itself: n_t, the norm that variance and mask of frame t
+    leave of its stamp, says how much of it the unit-norm column shows. Where neither is given all
+    n_t are one, also beside the border, so that the statistic, the sum of h over sqrt(T), is
+    additive along a path.
 
     Attributes
     ----------
@@ -45,17 +53,17 @@ class AmplitudeModel:
     def named(cls, amplitudes: str, amplitude_model: str) -> AmplitudeModel:
         """Return the model for two options of the detector."""
         if amplitude_model == 'constant':
-            if amplitudes != 'non-negative':
+            if amplitudes == 'complex':
                 raise ParameterError(
-                    'amplitude_model constant needs amplitudes non-negative, got '
+                    'amplitude_model constant needs amplitudes non-negative or signed, got '
                     f'{amplitudes!r}')
-            return cls(CONSTANT)
+            return cls(SIGNED_CONSTANT if amplitudes == 'signed' else CONSTANT)
         return cls({'signed': SIGNED, 'complex': COMPLEX}.get(amplitudes, NON_NEGATIVE))
 
     @property
     def is_constant(self) -> bool:
         """Whether one amplitude serves all frames."""
-        return self.code == CONSTANT
+        return self.code in (CONSTANT, SIGNED_CONSTANT)
 
     @property
     def is_complex(self) -> bool:
@@ -67,16 +75,28 @@ class AmplitudeModel:
         """Cost of a change of either velocity component by one step, in units of a value."""
         return 0.5 if self.is_constant else 3.0
 
-    def best(self, seen: NDArray) -> NDArray:
+    def course(self, norms: NDArray) -> NDArray[np.float64]:
+        """Return n / |n|, in proportion to which the x_t of a constant amplitude are, (T,).
+
+        Parameters
+        ----------
+        norms : array, shape (T,)
+            n_t; of a path that is hidden in every frame the result is zero.
+        """
+        return norms / max(float(np.linalg.norm(norms)), 1e-300)
+
+    def best(self, seen: NDArray, course: NDArray) -> NDArray:
         """Return the amplitudes that fit the statistic of each frame best, shape (T,)."""
         if self.is_constant:
-            return np.full(len(seen), max(float(np.mean(seen)), 0.0))
+            alpha = float(seen @ course)
+            return course * (max(alpha, 0.0) if self.code == CONSTANT else alpha)
         return np.maximum(seen, 0) if self.code == NON_NEGATIVE else seen.copy()
 
-    def statistic(self, seen: NDArray) -> float:
+    def statistic(self, seen: NDArray, course: NDArray) -> float:
         """Return eta for the matched filter statistic h of each frame, shape (T,)."""
         if self.is_constant:
-            return max(float(np.sum(seen)), 0.0) / math.sqrt(len(seen))
+            alpha = float(seen @ course)
+            return max(alpha, 0.0) if self.code == CONSTANT else abs(alpha)
         return float(np.linalg.norm(np.maximum(seen, 0) if self.code == NON_NEGATIVE else seen))
 
     def snr(self, seen: NDArray) -> float:
@@ -87,11 +107,21 @@ class AmplitudeModel:
         """Return lambda of a path whose turns cost ``cost``: what its statistic has to pass.
 
         Values add up along a path, so costs add to them: lambda^2 = threshold^2 + cost for the
-        squared statistics, lambda = threshold + cost for the constant model.
+        squared statistics, lambda = threshold + cost for the constant models, the cost then
+        multiplied by :meth:`dearness`.
         """
         if self.is_constant:
             return threshold + cost
         return math.sqrt(threshold**2 + cost)
+
+    def dearness(self, norms: NDArray) -> float:
+        """Return sqrt(T) / |n|, by which the turns of a constant amplitude cost more.
+
+        With a cost that grows as less is seen of a target, sum of n h less cost stays additive.
+        """
+        if not self.is_constant:
+            return 1.0
+        return math.sqrt(len(norms)) / max(float(np.linalg.norm(norms)), 1e-300)
 
     def value(self, statistic: float) -> float:
         """Return the value, additive along a path, of a path without turns."""

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, NON_NEGATIVE
+from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
 
 # Log-likelihood that has to speak against a target before the end of its path is cut off.
 CUT = 1.0
@@ -94,7 +94,7 @@ def presence_for(model: AmplitudeModel) -> Presence:
     entering and leaving, raises the threshold of targets that are there all the time by no more
     than 0.05 while noise still lengthens few paths.
     """
-    if model.code == CONSTANT:
+    if model.is_constant:
         raise ParameterError(
             'presence partial cannot be searched with amplitude_model constant: take fluctuating, '
             'or presence full')

@@ -43,10 +43,9 @@ class ConvexDetector(PathDetector):
             seen = paths.seen(path)
             model = paths.model
             present = self.present(paths.positions[path], seen)
-            # Less its cost, so that every statistic meets the same threshold.
-            value = model.value(model.statistic(seen)) - paths.costs[path]
             found.append(FoundTrajectory(
                 np.where(present[:, None], paths.positions[path], np.nan),
                 np.where(present, paths.target_amplitudes(path), np.nan),
-                self.statistic(value, len(seen)), model.snr(seen[present])))
+                # Less its cost, so that every statistic meets the same threshold.
+                self.statistic(paths.value(path), len(seen)), model.snr(seen[present])))
         return sorted(found, key=lambda trajectory: -trajectory.statistic)

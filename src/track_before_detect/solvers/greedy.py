@@ -40,7 +40,7 @@ class GreedyDetector(PathDetector):
             paths.add(path.positions, path.cost)
             added = len(paths) - 1
             seen = paths.seen(added)
-            paths.assign(np.array([added]), model.best(seen)[None])
+            paths.assign(np.array([added]), paths.best(added)[None])
             present = self.present(path.positions, seen)
             found.append(FoundTrajectory(
                 np.where(present[:, None], path.positions, np.nan),

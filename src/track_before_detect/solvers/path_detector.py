@@ -27,6 +27,7 @@ from track_before_detect.solvers.batch_detector import (
     BatchResult,
     median_interval,
 )
+from track_before_detect.solvers.constant_search import ConstantSearch
 from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.partial_search import PartialSearch
 from track_before_detect.solvers.path_search import PathSearch
@@ -325,6 +326,8 @@ class PathDetector(BatchDetector):
         return self._search[1]
 
     def _new_search(self, graph, psf, shape, n_threads):
+        if self.model.is_constant:
+            return ConstantSearch(graph, psf, shape, self.model, n_threads)
         if self.presence is None:
             return PathSearch(graph, psf, shape, self.model, n_threads)
         return PartialSearch(graph, psf, shape, self.model, self.presence, n_threads)

@@ -17,7 +17,7 @@ ROUNDING = 1e-12
 
 def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
                    t_convex: float, model: AmplitudeModel, energy: float,
-                   gap: float) -> tuple[NDArray, bool]:
+                   gap: float, courses: NDArray | None = None) -> tuple[NDArray, bool]:
     """Minimise 1/2 x'Gx - h'x + t sum w_p |x_p| over the amplitudes x of given paths.
 
     Parameters
@@ -38,22 +38,25 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
         Half the squared norm of the data.
     gap : float
         Duality gap to reach where t > 0; at t = 0 the optimum is reached to rounding.
+    courses : array, shape (P, T), optional
+        Of constant amplitudes: how they are in proportion, of unit norm; all equal unless given.
 
     Returns
     -------
     amplitudes : array, shape (P, T)
     converged : bool
     """
-    n_frames = amplitudes.shape[1]
-    constant = model.code == CONSTANT
+    constant = model.is_constant
+    if courses is None:
+        courses = np.full(amplitudes.shape, 1 / math.sqrt(amplitudes.shape[1]))
     if constant:
         # One amplitude for each path: its column joins all frames.
-        x = amplitudes[:, :1] * math.sqrt(n_frames)
-        matched = matched.sum(axis=1, keepdims=True) / math.sqrt(n_frames)
-        gram = gram.sum(axis=2, keepdims=True) / n_frames
+        x = np.sum(courses * amplitudes, axis=1, keepdims=True)
+        matched = np.sum(courses * matched, axis=1, keepdims=True)
+        gram = np.einsum('pt,pqt,qt->pq', courses, gram, courses)[:, :, None]
     else:
         x = amplitudes.copy()
-    non_negative = constant or model.code == NON_NEGATIVE
+    non_negative = model.code in (CONSTANT, NON_NEGATIVE)
     # As (P, D, T): a complex number is D = 2 real ones.
     x, matched = _in_parts(x), _in_parts(matched)
     if t_convex == 0.0:
@@ -69,8 +72,7 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
         converged = reached <= wanted
         x /= weights[:, None, None]
     fitted = x[:, 0] + 1j * x[:, 1] if model.is_complex else x[:, 0]
-    return (np.repeat(fitted / math.sqrt(n_frames), n_frames, axis=1) if constant else fitted,
-            converged)
+    return courses * fitted if constant else fitted, converged
 
 
 def _in_parts(values):

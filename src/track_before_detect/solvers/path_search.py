@@ -91,8 +91,7 @@ class PathSearch:
 
     def scores(self, frames: NDArray) -> NDArray:
         """Return what every position adds to the value of a path, shape (T, Y, X)."""
-        scores = self._scores.scores(frames)
-        return self._plane.shear(scores) if self._plane else scores
+        return self._sheared(self._scores.scores(frames))
 
     def run(self, scores: NDArray) -> NDArray:
         """Compute all path weights; return the best by start of the last segment, (Y, X)."""
@@ -123,14 +122,21 @@ class PathSearch:
         """
         largest = self._table.update(self.scores(frames), above)
         radius = max(1, round(separation / self.graph.step_px))
-        peaks = self._table.peaks(above, radius, limit)
-        traced, costs = self._table.trace(peaks)
-        found: list[FoundPath] = []
+        return largest, [path for path in self._paths_of(self._table, above, radius, limit)
+                         if is_new(path.positions)]
+
+    def _paths_of(self, table, above, radius, limit):
+        """Return the paths of the largest values above a bound, their starts apart."""
+        peaks = table.peaks(above, radius, limit)
+        traced, costs = table.trace(peaks)
+        found = []
         for (y, x), positions, cost in zip(peaks, traced, costs, strict=True):
             if self._plane:
                 positions = self._plane.restore(positions, np.arange(len(positions)))
-            path = FoundPath(positions * self.graph.step_px, float(self._table.best[y, x]),
-                             float(cost))
-            if is_new(path.positions):
-                found.append(path)
-        return largest, found
+            found.append(FoundPath(positions * self.graph.step_px, float(table.best[y, x]),
+                                   float(cost)))
+        return found
+
+    def _sheared(self, scores):
+        """Return scores of the frames' grid as they are searched."""
+        return self._plane.shear(scores) if self._plane else scores

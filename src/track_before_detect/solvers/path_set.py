@@ -84,6 +84,7 @@ class PathSet:
         number = complex if model.is_complex else float
         self.matched = np.empty((0, n_frames), number)
         self.weights = np.empty(0)
+        self._courses = np.empty((0, n_frames))
         self.amplitudes = np.empty((0, n_frames), number)
         # Most paths of a large scene are far apart: only the overlaps of those that meet are
         # held, one row for each pair; row 0, of zeros, stands for all others.
@@ -109,10 +110,11 @@ class PathSet:
         self._stamps.append(stamps)
         self._origins.append(origins)
         self._norms.append(norms)
+        self._courses = np.concatenate([self._courses, self._course(norms)[None]])
         nothing = np.zeros((1, len(self.frames)), self.matched.dtype)
         self.matched = np.concatenate([self.matched, nothing])
         self.amplitudes = np.concatenate([self.amplitudes, nothing])
-        self.weights = np.append(self.weights, self.model.weight(self.threshold, cost))
+        self.weights = np.append(self.weights, self._weight(norms, cost))
         self._pairs = np.pad(self._pairs, (0, 1))
         self._relate(len(self) - 1)
 
@@ -122,9 +124,10 @@ class PathSet:
         self.positions[path] = positions
         self.costs[path] = cost
         self.settled[path] = False
-        self.weights[path] = self.model.weight(self.threshold, cost)
         (self._stamps[path], self._origins[path],
          self._norms[path]) = self._render(positions)
+        self._courses[path] = self._course(self._norms[path])
+        self.weights[path] = self._weight(self._norms[path], cost)
         self._relate(path)
         self._take(path, 1.0)
 
@@ -139,6 +142,7 @@ class PathSet:
         self._stamps = [self._stamps[p] for p in keep]
         self._origins = [self._origins[p] for p in keep]
         self._norms = [self._norms[p] for p in keep]
+        self._courses = self._courses[keep]
         self.matched = self.matched[keep]
         self.amplitudes = self.amplitudes[keep]
         self.weights = self.weights[keep]
@@ -158,7 +162,8 @@ class PathSet:
         """
         problem = self._problem(members)
         amplitudes, converged = fit_amplitudes(self.amplitudes[members], *problem, t_convex,
-                                               self.model, self.energy, gap)
+                                               self.model, self.energy, gap,
+                                               self._courses[members])
         return objective(amplitudes, *problem, t_convex), amplitudes, converged
 
     def objective_of(self, members: NDArray, t_convex: float) -> float:
@@ -250,6 +255,25 @@ class PathSet:
         return self.matched[path] - np.einsum(
             'qt,qt->t', self._overlaps[self._pairs[path, others]], self.amplitudes[others])
 
+    def statistic(self, path: int, seen: NDArray | None = None) -> float:
+        """Return the statistic of a path, of what is ``seen`` (T,) along it unless others.
+
+        By default that is what it meets with the other paths taken off.
+        """
+        return self.model.statistic(self.seen(path) if seen is None else seen,
+                                    self._courses[path])
+
+    def value(self, path: int) -> float:
+        """Return the value of a path beside all others: its statistic less what it costs."""
+        value = self.model.value(self.statistic(path))
+        if self.model.is_constant:
+            return value - (float(self.weights[path]) - self.threshold)
+        return value - self.costs[path]
+
+    def best(self, path: int) -> NDArray:
+        """Return the amplitudes of a path that fit best without shrinkage, shape (T,)."""
+        return self.model.best(self.seen(path), self._courses[path])
+
     def target_amplitudes(self, path: int) -> NDArray:
         """Return the amplitudes of the target itself, of which a stamp may show a part, (T,).
 
@@ -258,12 +282,13 @@ class PathSet:
         norms = self._norms[path]
         return self.amplitudes[path] / np.where(norms > 0, norms, np.inf)
 
-    def statistic_of(self, positions: NDArray) -> float:
-        """Return the statistic of any path on the residual."""
-        stamps, origins, _ = self._render(positions)
+    def passes(self, positions: NDArray, cost: float) -> bool:
+        """Return whether any path passes its weight on the residual."""
+        stamps, origins, norms = self._render(positions)
         seen = np.empty(len(self.frames), self.matched.dtype)
         stamp_kernels.correlate(stamps, origins, self.residual, seen)
-        return self.model.statistic(seen)
+        return (self.model.statistic(seen, self._course(norms))
+                > self._weight(norms, cost))
 
     def refresh(self) -> None:
         """Compute the residual anew, which sheds the rounding of many small changes."""
@@ -294,6 +319,18 @@ class PathSet:
         stamps[absent] = 0.0
         norms[absent] = 0.0
         return stamps, origins, norms
+
+    def _course(self, norms):
+        return self.model.course(self._counted(norms))
+
+    def _weight(self, norms, cost):
+        """Return lambda of a path."""
+        return self.model.weight(self.threshold,
+                                 cost * self.model.dearness(self._counted(norms)))
+
+    def _counted(self, norms):
+        """Return n of each frame, see AmplitudeModel: one where all pixels weigh the same."""
+        return norms if len(self._pixel_weights) else np.ones(len(norms))
 
     def _relate(self, path):
         """Fill the matched filter and the overlaps of one path."""

@@ -68,7 +68,8 @@ class Refiner:
         """
         limits = self._psf.limits(frames.shape[1:])
         squared = float(self.gains(frames, positions).sum())
-        best = (self.lowers(squared, cost, threshold, t_convex) + LEAST_GAIN, positions, cost)
+        price = cost * self._dearness(frames, positions)
+        best = (self.lowers(squared, price, threshold, t_convex) + LEAST_GAIN, positions, cost)
         for start, basis, family_cost in self._motions.candidates(positions, cost):
             moved = np.array(start)
             value = climb(moved, basis, self._sight, limits, frames, self._weights,
@@ -78,19 +79,30 @@ class Refiner:
             moved_cost = family_cost
             if moved_cost is None:
                 moved_cost = self._motions.cost(moved)
-            gain = self.lowers(value, moved_cost, threshold, t_convex)
+            dearness = self._dearness(frames, moved)
+            gain = self.lowers(value, dearness * moved_cost, threshold, t_convex)
             if gain > best[0]:
                 best = (gain, moved, moved_cost)
         return best[1], best[2]
 
     def gains(self, frames: NDArray, positions: NDArray) -> NDArray[np.float64]:
         """Return what each frame adds to the squared statistic of a path, shape (T,)."""
-        seen = np.empty((len(positions), 3))
-        norms = np.empty(len(positions))
-        look(self._sight, positions, frames, self._weights, self._model.code, seen, norms)
+        seen, norms = self._look(frames, positions)
         amplitudes = np.empty(len(positions))
         best_amplitudes(seen, norms, self._model.code, amplitudes)
         return amplitudes**2
+
+    def _look(self, frames, positions):
+        seen = np.empty((len(positions), 3))
+        norms = np.empty(len(positions))
+        look(self._sight, positions, frames, self._weights, self._model.code, seen, norms)
+        return seen, norms
+
+    def _dearness(self, frames, positions):
+        """Return by how much more the turns of a path cost, see AmplitudeModel."""
+        if not (self._model.is_constant and len(self._weights)):
+            return 1.0
+        return self._model.dearness(self._look(frames, positions)[1])
 
     def lowers(self, squared: float, cost: float, threshold: float, t_convex: float) -> float:
         """Return by how much a path of this squared statistic lowers F_t, alone."""

@@ -153,7 +153,7 @@ def duality_gap(paths: PathSet, largest: float) -> float:
         scale = min(scale, paths.threshold / paths.model.from_value(largest))
     explained = paths.explained()
     left = paths.matched - explained
-    seen = np.array([paths.model.statistic(row) for row in left])
+    seen = np.array([paths.statistic(path, row) for path, row in enumerate(left)])
     if len(paths):
         scale = min(scale, float(np.min(paths.weights / np.maximum(seen, 1e-300))))
     fit = np.vdot(paths.amplitudes, explained).real
@@ -242,8 +242,7 @@ class _Stage:
     def _try_adding(self, found):
         """Add a path if it still passes its weight and F_t falls."""
         paths = self._paths
-        weight = paths.model.weight(paths.threshold, found.cost)
-        if paths.statistic_of(found.positions) <= weight:
+        if not paths.passes(found.positions, found.cost):
             return False
         paths.add(found.positions, found.cost)
         added = len(paths) - 1
@@ -262,8 +261,7 @@ class _Stage:
         paths = self._paths
         paths.add(found.positions, found.cost)
         added = len(paths) - 1
-        if (paths.model.statistic(paths.seen(added))
-                > (1 + tolerance) * paths.weights[added]):
+        if paths.statistic(added) > (1 + tolerance) * paths.weights[added]:
             return True
         paths.remove(np.array([added]))
         return False
@@ -308,7 +306,7 @@ class _Stage:
         """
         paths = self._paths
         while len(paths):
-            excess = np.array([paths.model.statistic(paths.seen(path))
+            excess = np.array([paths.statistic(path)
                                for path in range(len(paths))]) - paths.weights
             weakest = int(np.argmin(excess))
             if excess[weakest] >= 0:
