@@ -9,6 +9,7 @@ from false_alarms import assert_rate_is_realised
 import track_before_detect as tbd
 from track_before_detect.models.amplitudes import (
     AmplitudeModel,
+    COMPLEX,
     CONSTANT,
     NON_NEGATIVE,
     SIGNED,
@@ -21,6 +22,7 @@ from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.partial_search import PartialSearch
+from track_before_detect.solvers.threshold import noise_frames
 
 PRESENCE = Presence(0.9, 1.5, 2.5)
 
@@ -72,15 +74,15 @@ def best_partial(graph, presence, scores):
 
 @pytest.mark.parametrize(('n_frames', 'acceleration', 'seed'), [
     (4, 0.0, 1), (4, 0.2, 2), (4, 3.0, 3), (5, 0.3, 4), (1, 0.0, 5)])
-@pytest.mark.parametrize('code', [NON_NEGATIVE, SIGNED])
+@pytest.mark.parametrize('code', [NON_NEGATIVE, SIGNED, COMPLEX])
 def test_best_path_equals_search_through_every_path_and_interval(n_frames, acceleration, seed,
                                                                  code):
     graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=0.7,
                               max_acceleration=acceleration, turn_cost=0.8)
     search = PartialSearch(graph, GaussianPsf(2.0), (4, 5), AmplitudeModel(code), PRESENCE)
-    frames = np.random.default_rng(seed).standard_normal((n_frames, 4, 5)).astype(np.float32)
+    frames = noise_frames(np.random.default_rng(seed), (n_frames, 4, 5), code == COMPLEX)
     # Something in a few frames only, so that the best path is there in a part of them.
-    frames[n_frames // 2:n_frames // 2 + 2, 1:3, 2:4] += 1.5
+    frames[n_frames // 2:n_frames // 2 + 2, 1:3, 2:4] += 1.5j if code == COMPLEX else 1.5
     expected, positions = best_partial(graph, PRESENCE, search.scores(frames))
     largest, [found] = search.best_paths(frames, -1e9, 1.0, lambda _: True, 1)
     assert largest == pytest.approx(expected, rel=1e-5)
@@ -89,6 +91,24 @@ def test_best_path_equals_search_through_every_path_and_interval(n_frames, accel
     met = [search.scores(frames)[t, int(y), int(x)]
            for t, (x, y) in enumerate(found.positions) if np.isfinite(x)]
     assert sum(met) - found.cost == pytest.approx(expected, rel=1e-5)
+
+
+def test_search_of_the_same_frames_again_and_of_others_is_that_of_a_new_one():
+    graph = build_state_graph(np.arange(6.0), step_px=1.0, max_speed=1.0, max_acceleration=0.2,
+                              turn_cost=0.8)
+
+    def new_search():
+        return PartialSearch(graph, GaussianPsf(2.0), (12, 9), AmplitudeModel(SIGNED), PRESENCE)
+
+    search, generator = new_search(), np.random.default_rng(4)
+    first, other = generator.standard_normal((2, 6, 12, 9)).astype(np.float32)
+    for frames in (first, first, other, first):
+        again, fresh = (made.best_paths(frames, 0.0, 2.0, lambda _: True, 3)
+                        for made in (search, new_search()))
+        assert again[0] == fresh[0]
+        for a, b in zip(again[1], fresh[1], strict=True):
+            assert a.value == b.value
+            np.testing.assert_array_equal(a.positions, b.positions)
 
 
 @pytest.mark.parametrize('seed', range(5))
@@ -106,25 +126,31 @@ def test_frames_without_the_target_are_cut_off_and_weak_ones_inside_are_not():
     assert frames_seen_in(np.zeros(4)) == (0, 3)
 
 
-def scene(seed, first, last, snr, n_frames=20, size=64):
+def scene(seed, first, last, snr, n_frames=20, size=64, amplitudes='non-negative'):
     """Return noise with a target that is there from ``first`` to ``last``, and its positions."""
     generator = np.random.default_rng(seed)
-    frames = generator.standard_normal((n_frames, size, size), dtype=np.float32)
+    frames = noise_frames(generator, (n_frames, size, size), amplitudes == 'complex')
     angle = generator.uniform(0, 2 * np.pi)
     velocity = generator.uniform(0.2, 1.0) * np.array([np.cos(angle), np.sin(angle)])
     middle = generator.uniform(18, size - 19, 2)
     positions = middle + (np.arange(n_frames)[:, None] - n_frames / 2) * velocity
+    signs = {'signed': generator.choice((-1, 1), n_frames),
+             'complex': np.exp(2j * np.pi * generator.random(n_frames))}.get(
+                 amplitudes, np.ones(n_frames))
     for t in range(first, last + 1):
-        add_target(frames[t], *positions[t], 1.0, snr)
+        target = np.zeros((size, size))
+        add_target(target, *positions[t], 1.0, snr)
+        frames[t] += (signs[t] * target).astype(frames.dtype)
     return frames, positions
 
 
-@pytest.mark.parametrize(('first', 'last'), [(8, 19), (0, 12), (5, 13)])
-def test_target_that_enters_or_leaves_is_found_in_its_frames(first, last):
+@pytest.mark.parametrize('amplitudes', ['non-negative', 'signed', 'complex'])
+@pytest.mark.parametrize(('first', 'last'), [(8, 19), (0, 12), (5, 13), (0, 19)])
+def test_target_that_enters_or_leaves_is_found_in_its_frames(first, last, amplitudes):
     errors = []
     for seed in range(6):
-        frames, positions = scene(seed, first, last, 5.0)
-        result = tbd.detect(frames, threshold=9, presence='partial')
+        frames, positions = scene(seed, first, last, 5.0, amplitudes=amplitudes)
+        result = tbd.detect(frames, threshold=9, presence='partial', amplitudes=amplitudes)
         assert len(result.trajectories) == 1
         [trajectory] = result.trajectories
         [present] = np.nonzero(np.isfinite(trajectory.positions[:, 0]))
@@ -183,11 +209,13 @@ def test_range_doppler_target_may_leave():
     assert np.nanmax(np.abs(error[:9])) < 1.0
 
 
-def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
+@pytest.mark.parametrize('amplitudes', ['non-negative', 'signed', 'complex'])
+def test_realised_rate_in_noise_is_the_requested_one(amplitudes, tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    monkeypatch.setattr('track_before_detect.solvers.threshold.MOST_CROPS', 800)
     n_runs, rate, shape = 300, 0.3, (48, 48)
     detector = ConvexDetector(DetectorOptions(
-        psf_sigma_px=2.0, presence='partial', false_alarm_rate=rate))
+        psf_sigma_px=2.0, presence='partial', amplitudes=amplitudes, false_alarm_rate=rate))
     stamps = np.arange(8.0)
     bound = detector.threshold(stamps, shape)
     search = detector.noise_study(stamps, shape).searcher(shape)

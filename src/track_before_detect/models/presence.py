@@ -8,10 +8,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
+from track_before_detect.models.amplitudes import (
+    AmplitudeModel,
+    COMPLEX,
+    NON_NEGATIVE,
+    SIGNED,
+)
 
 # Log-likelihood that has to speak against a target before the end of its path is cut off.
 CUT = 1.0
+# Cost of a frame for each model of the amplitudes.
+PER_FRAME = {NON_NEGATIVE: 1.4, SIGNED: 2.0, COMPLEX: 1.5}
 MOST_LOOKS = 5
 
 
@@ -90,13 +97,14 @@ def presence_for(model: AmplitudeModel) -> Presence:
     """Return the costs for a model of the amplitudes, in units of its noise.
 
     The square of the threshold of a path of n frames, for one false path in twenty batches of
-    128 x 128 pixels, grows by 1.6 a frame from n = 10 to 20. A little less, with the costs of
-    entering and leaving, raises the threshold of targets that are there all the time by no more
-    than 0.05 while noise still lengthens few paths.
+    128 x 128 pixels, grows by 1.6 a frame from n = 10 to 20 where amplitudes are not negative, by
+    2.1 where they are signed, and by 1.7 where they are complex, whose |h|^2 has the mean of the
+    signed h^2 and half its variance. A little less, with the costs of entering and leaving,
+    raises the threshold of targets that are there all the time by no more than 0.05 while noise
+    still lengthens few paths.
     """
     if model.is_constant:
         raise ParameterError(
             'presence partial cannot be searched with amplitude_model constant: take fluctuating, '
             'or presence full')
-    per_frame = 1.4 if model.code == NON_NEGATIVE else 2.0
-    return Presence(per_frame, entry=6.0, leaving=6.0)
+    return Presence(PER_FRAME[model.code], entry=6.0, leaving=6.0)

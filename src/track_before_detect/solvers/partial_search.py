@@ -37,11 +37,15 @@ class PartialSearch(PathSearch):
         self._presence = presence
         self._values = np.empty((0, 0, 0, 0), np.float32)
         self._met = np.empty((0, 0, 0), np.float32)
+        self._ends = np.empty((0, 0, 0), np.float32)
 
     def run(self, scores: NDArray) -> NDArray:
         """Fill the table; return the best by segment of the end and its start, (J, Y, X)."""
         graph, presence = self.graph, self._presence
         n_y, n_x = self.grid_shape
+        # Where nothing is found, the frames are searched twice.
+        if np.array_equal(scores, self._met):
+            return self._ends.copy()
         if not len(self._values):
             self._values = np.empty((graph.n_segments, n_y, graph.n_velocities, n_x), np.float32)
         self._met = scores
@@ -54,7 +58,8 @@ class PartialSearch(PathSearch):
                 graph.row_first, graph.row_x, graph.reach, np.float32(graph.turn_cost),
                 np.float32(presence.per_frame), np.float32(presence.entry),
                 np.float32(presence.leaving))
-        return ends
+        self._ends = ends
+        return ends.copy()
 
     def best_paths(self, frames: NDArray, above: float, separation: float,
                    is_new: Callable[[NDArray], bool], limit: int,
