@@ -85,6 +85,10 @@ class DetectorOptions:
         'of a target may be off, either way; columns then go round, and how fast the range '
         'changes tells which it is. With 0 they end at both sides.', kind='integer', minimum=0,
         maximum=16)
+    directions: int | None = _option(
+        None, 'Of detector pc_dp: parts of the transition set, one for each sector of directions, '
+        'that are searched at the same time; automatic is 4.', kind='integer', minimum=1,
+        maximum=64, optional=True)
     presence: str = _option(
         'full', 'Whether a target is there in all frames of a batch, or may enter and leave '
         '(partial), which is then found, at the cost of slightly dimmer targets.', kind='text',

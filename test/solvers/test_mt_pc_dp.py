@@ -142,6 +142,18 @@ def test_what_a_method_cannot_do_is_refused(name, option, said):
         {'mt_dp': MtDpDetector, 'pc_dp': PcDpDetector}[name](options)
 
 
+@pytest.mark.parametrize(('asked', 'searched'), [(None, 4), (1, 1), (3, 3), (8, 4)])
+def test_number_of_directions_is_an_option(asked, searched):
+    # At one pixel per frame no more than the four quadrants differ.
+    made = PcDpDetector(DetectorOptions(detector='pc_dp', max_speed_px_s=1.0, directions=asked))
+    assert len(made.transition_sets(STAMPS)) == searched
+
+
+def test_directions_are_refused_where_there_are_none():
+    with pytest.raises(ParameterError, match='directions needs the detector pc_dp, got mt_dp'):
+        MtDpDetector(DetectorOptions(detector='mt_dp', directions=2))
+
+
 def test_psi_and_phi_are_sums_over_the_stamp():
     rng = np.random.default_rng(9)
     frames = rng.standard_normal((2, 12, 14))

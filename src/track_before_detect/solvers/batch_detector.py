@@ -105,6 +105,9 @@ class BatchDetector(ABC):
             if getattr(options, name) and options.motion_model != 'range_doppler':
                 raise ParameterError(
                     f'{name} needs motion_model range_doppler, got {options.motion_model}')
+        if options.directions is not None and options.detector != 'pc_dp':
+            raise ParameterError(
+                f'directions needs the detector pc_dp, got {options.detector}')
         # Thresholds for numbers of frames and shapes, each with the frame interval it is for.
         self._thresholds: dict[tuple, list[tuple[float, float]]] = {}
 

@@ -11,10 +11,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from track_before_detect.models.transition_sets import TransitionSets
+from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult
 from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.mt_dp import MtDpDetector
 from track_before_detect.solvers.target_cancellation import TargetSearch
+
+DEFAULT_DIRECTIONS = 4
 
 
 class PcDpDetector(MtDpDetector):
@@ -23,14 +26,12 @@ class PcDpDetector(MtDpDetector):
     Parameters
     ----------
     options : DetectorOptions
-        As for ``mt_dp``.
-    n_directions : int
-        Parts of the transition set; four in the paper.
+        As for ``mt_dp``, and the number of directions; four, as in the paper, unless given.
     """
 
-    def __init__(self, options, n_directions: int = 4):
+    def __init__(self, options: DetectorOptions):
         super().__init__(options)
-        self.n_directions = n_directions
+        self.n_directions = options.directions or DEFAULT_DIRECTIONS
 
     def solve(self, search: TargetSearch, directions: Sequence[TransitionSets],
               threshold: float, n_frames: int) -> BatchResult:

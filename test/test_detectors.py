@@ -1,0 +1,102 @@
+"""Every detector by its name: in Python, on the command line, with one type of result."""
+
+import csv
+import dataclasses
+import itertools
+import json
+
+import numpy as np
+import pytest
+
+import track_before_detect as tbd
+from track_before_detect.cli import main
+from track_before_detect.errors import ParameterError
+from track_before_detect.options import DETECTORS
+from track_before_detect.simulation.sensor import add_target
+
+PATH = np.array([[12 + 0.8 * t, 20 - 0.4 * t] for t in range(12)])
+OPTIONS = {
+    'motion_model': ('nearly_constant_velocity', 'constant_velocity', 'static', 'range_doppler',
+                     'range_bearing'),
+    'amplitudes': ('non-negative', 'signed', 'complex'),
+    'amplitude_model': ('fluctuating', 'constant'),
+    'presence': ('full', 'partial'),
+    'max_acceleration_px_s2': (None, 0.05),
+    'psf_model': ('gaussian', 'integrated_gaussian'),
+}
+
+
+def frames_with_a_target(phases=None):
+    rng = np.random.default_rng(4)
+    clean = np.zeros((len(PATH), 40, 48), np.float32)
+    for frame, (x, y) in zip(clean, PATH, strict=True):
+        add_target(frame, x, y, 1.0, 12.0)
+    if phases is None:
+        return clean + rng.standard_normal(clean.shape)
+    noise = rng.standard_normal((2, *clean.shape)) / np.sqrt(2)
+    return clean * np.exp(1j * phases)[:, None, None] + noise[0] + 1j * noise[1]
+
+
+@pytest.mark.parametrize('detector', DETECTORS)
+def test_result_is_of_the_same_type(detector):
+    result = tbd.detect(frames_with_a_target(), detector=detector, threshold=20.0)
+    assert type(result) is tbd.DetectionResult and result.threshold == 20.0
+    assert result.status == 'converged'
+    [found] = result.trajectories
+    [reference] = tbd.detect(frames_with_a_target(), threshold=20.0).trajectories
+    for field in dataclasses.fields(reference):
+        value, wanted = (np.asarray(getattr(one, field.name)) for one in (found, reference))
+        assert value.shape == wanted.shape and value.dtype.kind == wanted.dtype.kind, field.name
+    assert np.nanmean(np.linalg.norm(found.positions - PATH, axis=1)) < 0.8
+    # Dynamic programming over whole pixels sees less of a target between them.
+    assert found.statistic > 20 and found.snr == pytest.approx(12, rel=0.2)
+    assert np.nanmean(found.amplitudes) == pytest.approx(12, rel=0.2)
+
+
+@pytest.mark.parametrize('detector', DETECTORS)
+def test_command_line_takes_the_name(detector, tmp_path):
+    np.savez(tmp_path / 'frames.npz', frames=frames_with_a_target())
+    found = tmp_path / 'found'
+    assert main(['detect', str(tmp_path / 'frames.npz'), '--detector', detector, '--set',
+                 'threshold=20', '--output', str(found)]) == 0
+    with open(found / 'trajectories.csv', newline='') as file:
+        rows = list(csv.DictReader(file))
+    assert len({row['trajectory_id'] for row in rows}) == 1
+    assert abs(float(rows[-1]['x_px']) - PATH[int(rows[-1]['frame'])][0]) < 1.5
+    assert f'"{detector}"' in json.dumps(json.loads((found / 'summary.json').read_text()))
+
+
+@pytest.mark.parametrize('detector', ['convex', 'greedy', 'mt_dp', 'pc_dp'])
+def test_complex_frames_are_searched_in_any_phase(detector):
+    phases = np.random.default_rng(1).uniform(0, 2 * np.pi, len(PATH))
+    [found] = tbd.detect(frames_with_a_target(phases), detector=detector, amplitudes='complex',
+                         threshold=20.0).trajectories
+    assert np.nanmean(np.linalg.norm(found.positions - PATH, axis=1)) < 0.8
+    assert np.abs(found.amplitudes).mean() == pytest.approx(12, rel=0.2)
+    turned = np.angle(found.amplitudes * np.exp(-1j * phases))
+    assert np.abs(turned).max() < 0.6
+
+
+@pytest.mark.parametrize('detector', DETECTORS)
+def test_what_a_detector_cannot_do_is_refused_in_one_sentence(detector):
+    # Two options at a time, away from their defaults.
+    frames = frames_with_a_target()[:4, 10:26, 8:24]
+    phased = frames_with_a_target(np.zeros(len(PATH)))[:4, 10:26, 8:24]
+    refused = 0
+    for first, second in itertools.combinations(OPTIONS, 2):
+        for chosen in itertools.product(OPTIONS[first], OPTIONS[second]):
+            options = dict(zip((first, second), chosen, strict=True))
+            if options.get('motion_model') == 'range_doppler':
+                options['range_bins_per_doppler_bin'] = 0.5
+            complex_ones = options.get('amplitudes') == 'complex'
+            try:
+                result = tbd.detect(phased if complex_ones else frames, detector=detector,
+                                    threshold=30.0, **options)
+            except ParameterError as error:
+                refused += 1
+                said = str(error)
+                assert '\n' not in said and '. ' not in said and not said.endswith('.')
+                assert any(name in said for name in options), said
+            else:
+                assert result.threshold == pytest.approx(30.0)
+    assert refused
