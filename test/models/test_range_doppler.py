@@ -22,6 +22,7 @@ from track_before_detect.solvers.threshold import noise_frames
 STAMPS = {
     'regular': np.arange(6.0),
     'dropped frame': np.array([0.0, 1, 2, 4, 5, 6]),
+    'irregular': np.array([0.0, 0.7, 2.1, 3.0, 4.6, 5.2]),
     'single frame': np.zeros(1),
 }
 
@@ -96,6 +97,25 @@ def test_target_without_noise_is_recovered_between_the_bins(k, offset, interval)
                         range_bins_per_doppler_bin=k, doppler_offset_bins=offset)
     [trajectory] = result.trajectories
     np.testing.assert_allclose(trajectory.positions, np.stack([column, rows], 1), atol=0.02)
+
+
+@pytest.mark.parametrize(('detector', 'most'), [('convex', 0.05), ('greedy', 1.25)])
+def test_irregular_intervals_move_a_target_by_as_much_as_they_last(detector, most):
+    generator = np.random.default_rng(8)
+    for _ in range(3):
+        # Greedy stays on half bins: a quarter of one in Doppler over 7.5 s, and roundings.
+        # Dwells that are late or early by up to 0.3 s, and some that are missing.
+        stamps = np.delete(np.arange(16.0) + generator.uniform(-0.3, 0.3, 16),
+                           generator.choice(np.arange(1, 15), 3, replace=False))
+        k, column = 0.4, 20 + generator.choice((-1, 1)) * generator.uniform(12, 16)
+        rows = 128 + k * (column - 20) * (stamps - stamps.mean())
+        frames = np.stack([30 * naive.gaussian_stamp((256, 40), (column, y), 1.0, 4)
+                           for y in rows])
+        [trajectory, *_] = tbd.detect(frames, stamps, motion_model='range_doppler', threshold=8,
+                                      detector=detector,
+                                      range_bins_per_doppler_bin=k).trajectories
+        np.testing.assert_allclose(trajectory.positions[:, 1], rows, atol=most)
+        np.testing.assert_allclose(trajectory.velocity[:, 1], k * (column - 20), atol=2 * most)
 
 
 def test_target_that_moves_against_its_doppler_is_not_found():

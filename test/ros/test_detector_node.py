@@ -93,6 +93,31 @@ def test_it_follows_a_target_with_stamp_and_frame_id_of_the_input(launch, statio
     assert overlays[-1].header.frame_id == 'camera'
 
 
+@pytest.mark.parametrize('name', ['mt_dp', 'pc_dp'])
+def test_complex_images_are_searched(launch, station, moving_target, name):
+    start(launch, station, '-p', f'detector:={name}', '-p', 'amplitudes:=complex')
+    publisher = station.publisher(Image, 'image', RELIABLE)
+    generator = np.random.default_rng(2)
+    frames, positions = moving_target(10)
+    # A phase of its own for each frame, and noise of the same power in both parts.
+    frames = np.sqrt(0.5) * (frames + 1j * generator.standard_normal(frames.shape))
+    frames = (frames * np.exp(2j * np.pi * generator.random(10))[:, None, None])
+    for k, frame in enumerate(frames.astype(np.complex64)):
+        publisher.publish(Image(
+            header=Header(stamp=conversions.time_from_seconds(100.0 + k / RATE_HZ)),
+            height=SHAPE[0], width=SHAPE[1], encoding='32FC2', step=8 * SHAPE[1],
+            data=frame.tobytes()))
+        station.spin_for(0.01)
+    station.wait_for_diagnostics(batches=1, frames_used=10)
+    clouds = station.received['trajectories/points']
+    station.wait_until(lambda: clouds, 'a cloud')
+    points = points_of(station)
+    assert len(points) == 10 and len(set(points['id'])) == 1
+    frame = np.rint((points['t'] - 100.0) * RATE_HZ).astype(int)
+    error = np.hypot(points['x'] - positions[frame, 0], points['y'] - positions[frame, 1])
+    assert error.mean() < 1.0
+
+
 def test_it_learns_size_and_rate_from_the_first_frames(launch, station, moving_target):
     station.listen(DiagnosticArray, '/diagnostics')
     detector = launch('detector', *FAST, '-p', 'reliable:=true')

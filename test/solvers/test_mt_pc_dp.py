@@ -3,16 +3,20 @@
 import numpy as np
 import pytest
 
+from false_alarms import assert_rate_is_realised
+import track_before_detect as tbd
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation import parallel_scenes as scenes
 from track_before_detect.models.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.transition_sets import directional_sets
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.simulation.sensor import gaussian_stamp_image
 from track_before_detect.solvers.measurements import cores, measure, Merit
 from track_before_detect.solvers.mt_dp import MtDpDetector
 from track_before_detect.solvers.pc_dp import PcDpDetector
 from track_before_detect.solvers.target_cancellation import TargetSearch
+from track_before_detect.solvers.threshold import noise_frames
 
 DETECTORS = [pytest.param(MtDpDetector, id='mt_dp'), pytest.param(PcDpDetector, id='pc_dp')]
 NARROW = GaussianPsf(0.3)
@@ -129,6 +133,56 @@ def test_threshold_holds_the_false_alarm_rate_asked_for(detector, tmp_path, monk
     assert threshold == made.threshold(STAMPS, (50, 50))
     # Four standard deviations of the count and of the threshold about the rate.
     assert 0.03 < alarms / n_runs < 0.18
+
+
+@pytest.mark.parametrize('name', ['mt_dp', 'pc_dp'])
+def test_targets_of_complex_frames_are_found_by_name(name):
+    for seed in range(5):
+        scene = scenes.draw_scene([(12.0, 0.9, 30.0, -0.8), (35.0, -0.5, 10.0, 0.6)], 13.0,
+                                  np.random.default_rng(seed))
+        found = tbd.detect(scene.frames, detector=name, threshold=6.5,
+                           **scenes.OPTIONS).trajectories
+        assert len(found) == 2
+        for cells in scene.cells:
+            [trajectory] = [one for one in found
+                            if np.abs(one.positions - cells).mean() < 1.0]
+            truth = scene.frames[np.arange(6), cells[:, 1], cells[:, 0]]
+            same = (trajectory.positions == cells).all(axis=1)
+            np.testing.assert_allclose(trajectory.amplitudes[same], truth[same], rtol=1e-3)
+        # A common turn of all phases turns the amplitudes and nothing else.
+        turned = tbd.detect(1j * scene.frames, detector=name, threshold=6.5, **scenes.OPTIONS)
+        for one, other in zip(found, turned.trajectories, strict=True):
+            np.testing.assert_array_equal(one.positions, other.positions)
+            np.testing.assert_allclose(1j * one.amplitudes, other.amplitudes, rtol=1e-4)
+
+
+@pytest.mark.parametrize('name', ['mt_dp', 'pc_dp'])
+def test_complex_noise_realises_the_false_alarm_rate_asked_for_by_name(name, tmp_path,
+                                                                       monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    monkeypatch.setattr('track_before_detect.solvers.threshold.MOST_CROPS', 400)
+    rate = 0.2
+
+    def passes(generator):
+        noise = noise_frames(generator, (6, 50, 50), True)
+        return bool(tbd.detect(noise, detector=name, false_alarm_rate=rate,
+                               **scenes.OPTIONS).trajectories)
+
+    assert_rate_is_realised(passes, rate, 200, 9)
+
+
+@pytest.mark.parametrize('name', ['mt_dp', 'pc_dp'])
+def test_target_of_complex_frames_is_followed_through_batches(name):
+    generator = np.random.default_rng(3)
+    frames = noise_frames(generator, (24, 40, 40), True)
+    path = np.array([10.0, 30.0]) + np.arange(24)[:, None] * (0.8, -0.6)
+    for frame, (x, y) in zip(frames, path, strict=True):
+        frame += 9.0 * np.exp(2j * np.pi * generator.random()) * gaussian_stamp_image(
+            frame.shape, x, y, 1.0)
+    [trajectory] = tbd.detect(frames, detector=name, amplitudes='complex', threshold=14.0,
+                              batch_length=10).trajectories
+    assert np.hypot(*(trajectory.positions - path).T).mean() < 1.0
+    assert np.mean(np.abs(trajectory.amplitudes)) == pytest.approx(8.5, abs=1.0)
 
 
 @pytest.mark.parametrize('name', ['mt_dp', 'pc_dp'])

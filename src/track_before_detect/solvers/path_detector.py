@@ -46,6 +46,8 @@ from track_before_detect.types import Progress
 INTERVALS_TO_MAX_SPEED = 30
 # The same over range-Doppler maps: one Doppler bin within this many.
 INTERVALS_TO_NEXT_DOPPLER = 10
+# Decimals of a median interval to which the moments of range-Doppler maps are known.
+DOPPLER_TIME_DIGITS = 3
 # Memory for the tables of one search, and comparisons made to fill them (some seconds of one
 # core); a wider search is cut down to fit.
 MOST_TABLE_BYTES = 2 * 2**30
@@ -158,6 +160,9 @@ class PathDetector(BatchDetector):
 
     def _times(self, stamps):
         """Return stamps in the unit of time of the graph."""
+        if self.options.motion_model == 'range_doppler':
+            # Many range bins pass in one interval, so the jitter of a clock shows.
+            return np.round(exact_stamps(stamps), DOPPLER_TIME_DIGITS)
         return regular_stamps(stamps) if self._view is None else exact_stamps(stamps)
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
@@ -181,7 +186,7 @@ class PathDetector(BatchDetector):
         acceleration = min(acceleration, abs(rows_per_column) * shape[1] / interval**2)
         margin = self._doppler_margin(shape[1])
         graph = build_range_doppler_graph(
-            regular_stamps(stamps), step_px=1 / self.psf.oversampling,
+            self._times(stamps), step_px=1 / self.psf.oversampling,
             rows_per_column=float(f'{rows_per_column:.3g}'),
             still_column=margin + shape[1] // 2 + options.doppler_offset_bins,
             max_acceleration=float(f'{acceleration * interval**2:.3g}'),
