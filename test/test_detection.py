@@ -46,6 +46,7 @@ def test_bad_stamps_are_named(stamps, message):
     ({'motion_model': 'brownian'}, "motion_model must be one of .*'brownian'"),
     ({'continuation': []}, 'continuation must be a list'),
     ({'continuation': [2.0]}, 'continuation must be at most 1, got 2'),
+    ({'continuation': [0, 0.5]}, 'continuation must end with its smallest value, .* got 0, 0.5'),
     ({'batch_length': 2.5}, 'batch_length must be a whole number, got 2.5'),
     ({'batch_length': 4, 'hop': 5}, r'hop must be at most batch_length \(4\), got 5'),
     ({'detector': 'conves'}, "detector must be one of .*'conves'.*did you mean convex"),

@@ -108,7 +108,9 @@ class DetectorOptions:
         None, 'Threshold on the statistic; overrides false_alarm_rate.', kind='number',
         above=0.0, optional=True)
     continuation: tuple[float, ...] = _option(
-        DEFAULT_CONTINUATION, 'Values of t from 1 (convex) to 0 (combinatorial).',
+        DEFAULT_CONTINUATION, 'Values of t from 1 (convex) to 0 (combinatorial), any list that '
+        'ends with its smallest: 1 alone solves the convex problem with a certificate, 0 alone '
+        'the combinatorial one from nothing.',
         kind='numbers', minimum=0.0, maximum=1.0)
     batch_length: int | None = _option(
         None, 'Frames searched together; automatic is the whole recording, and 20 in the node.',
@@ -139,6 +141,10 @@ class DetectorOptions:
         for field in dataclasses.fields(self):
             value = _checked(field.name, getattr(self, field.name), field.metadata)
             object.__setattr__(self, field.name, value)
+        if self.continuation[-1] > min(self.continuation):
+            raise ParameterError(
+                f'continuation must end with its smallest value, which says what is solved, got '
+                f'{", ".join(f"{t:g}" for t in self.continuation)}')
         if self.hop is not None and self.batch_length is not None:
             if self.hop > self.batch_length:
                 raise ParameterError(

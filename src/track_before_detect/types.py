@@ -107,7 +107,8 @@ class DetectionResult:
     threshold : float
         Value the statistic of a trajectory had to pass.
     status : str
-        ``"converged"`` or ``"iteration_limit"``.
+        ``"converged"``, or ``"iteration_limit"`` when a batch was left before the end was
+        reached: after 500 trajectories or too many rounds.
     history : list of Step
         Progress of the solver, batch after batch.
     gap : float

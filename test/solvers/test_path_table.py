@@ -17,7 +17,7 @@ from track_before_detect.models.state_graph import build_state_graph
 from track_before_detect.solvers import path_table
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
-from track_before_detect.solvers.path_table import PathTable
+from track_before_detect.solvers.path_table import PathTable, table_bytes
 from track_before_detect.solvers.refinement import Refiner
 from track_before_detect.solvers.subspace_pursuit import pursue, PursuitSettings
 
@@ -159,3 +159,13 @@ def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, ma
     assert quick.gap == full.gap
     np.testing.assert_array_equal(quick.paths.amplitudes, full.paths.amplitudes)
     np.testing.assert_array_equal(quick.paths.positions, full.paths.positions)
+
+
+@pytest.mark.parametrize('name', GRAPHS)
+def test_the_memory_of_a_table_is_told_before_it_is_taken(name):
+    graph = graph_named(name, np.arange(12.0))
+    table = PathTable(graph, (61, 83))
+    table.fill(np.zeros((12, 61, 83), np.float32))
+    taken = sum(array.nbytes for array in [table.best, table._scores, *table._tables])
+    # Less margins of a few rows.
+    assert 0.9 * taken <= table_bytes(graph, (61, 83)) <= taken

@@ -11,6 +11,7 @@ from track_before_detect.models.amplitudes import (
 )
 from track_before_detect.models.psf import GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph
+from track_before_detect.solvers import subspace_pursuit
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
 from track_before_detect.solvers.refinement import Refiner
@@ -208,3 +209,11 @@ def test_residual_is_frames_less_fit_after_many_changes():
     expected = 0.5 * np.sum(paths.residual.astype(float)**2)
     expected += 0.5 * np.sum(paths.weights**2)
     assert paths.objective(0.0) == pytest.approx(expected, rel=1e-6)
+
+
+def test_more_paths_than_are_held_are_reported_as_a_limit(monkeypatch):
+    monkeypatch.setattr(subspace_pursuit, 'MOST_PATHS', 1)
+    monkeypatch.setattr(subspace_pursuit, 'MOST_NEW_PATHS', 1)
+    result, _ = solve(scene('far apart', 3), (1.0, 0.5, 0.0))
+    assert result.status == 'iteration_limit'
+    assert len(result.paths) == 1

@@ -1,6 +1,15 @@
-"""The processor cores that this process may use."""
+"""The processor cores that this process may use, and long work shared out over them."""
 
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
 import os
+import queue
+import threading
+from typing import Any, TypeVar
+
+_Item = TypeVar('_Item')
+_Result = TypeVar('_Result')
 
 
 def usable_cores() -> int:
@@ -8,3 +17,41 @@ def usable_cores() -> int:
     if hasattr(os, 'sched_getaffinity'):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
+    """Return the results for all items, a thread on each core; an error ends it at once.
+
+    An interrupt (Ctrl-C) does so, too: a pool of threads would first wait for what is running,
+    and once more when the interpreter exits.
+    """
+    waiting: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()
+    for pair in enumerate(items):
+        waiting.put(pair)
+    done: queue.SimpleQueue[tuple[int, Any, BaseException | None]] = queue.SimpleQueue()
+    ended = threading.Event()
+
+    def run():
+        while not ended.is_set():
+            try:
+                number, item = waiting.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                done.put((number, work(item), None))
+            except BaseException as error:
+                done.put((number, None, error))
+                return
+
+    for _ in range(min(usable_cores(), len(items))):
+        threading.Thread(target=run, daemon=True).start()
+    results: dict[int, _Result] = {}
+    try:
+        while len(results) < len(items):
+            number, result, error = done.get()
+            if error is not None:
+                raise error
+            results[number] = result
+    finally:
+        ended.set()
+    return [results[number] for number in range(len(items))]

@@ -32,6 +32,9 @@ from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.partial_search import PartialSearch
 from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
+from track_before_detect.solvers.path_table import table_bytes
+from track_before_detect.solvers.position_scores import grid_shape
+from track_before_detect.solvers.sheared_plane import ShearedPlane
 from track_before_detect.solvers.threshold import noise_frames, NoiseStudy, threshold_for
 from track_before_detect.solvers.wrap_around import (
     doppler_margin,
@@ -199,9 +202,13 @@ class PathDetector(BatchDetector):
         return graph
 
     def _affordable(self, graph, shape):
-        positions = np.prod([(n - 1) * self.psf.oversampling + 1.0 for n in shape])
-        states = graph.n_segments * graph.n_velocities * positions
-        return (4 * states <= MOST_TABLE_BYTES
+        grid = grid_shape(self.psf, shape)
+        if graph.coupling is not None:
+            grid = ShearedPlane(graph, grid).shape
+        states = graph.n_segments * graph.n_velocities * float(np.prod(grid))
+        # A search of targets that enter and leave keeps the last segment as well.
+        memory = 4 * states if self.presence else table_bytes(graph, grid)
+        return (memory <= MOST_TABLE_BYTES
                 and states * (1 + 4 * graph.reach) <= MOST_COMPARISONS)
 
     def noise_study(self, stamps: NDArray, shape: tuple[int, int]) -> NoiseStudy:

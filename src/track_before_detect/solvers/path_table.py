@@ -226,6 +226,13 @@ class PathTable:
         return wanted, wanted_last
 
 
+def table_bytes(graph: StateGraph, grid_shape: tuple[int, int]) -> int:
+    """Return the memory that a table takes once it is filled."""
+    layout = _layout(graph, grid_shape)
+    rows = graph.n_frames + (graph.n_segments - 1) * layout.n_v
+    return NO_STATES.itemsize * layout.n_y * (rows * layout.stride + layout.n_x)
+
+
 def _layout(graph, grid_shape):
     n_y, n_x = grid_shape
     pad = int(max(np.abs(graph.moves).max(), np.abs(graph.end_moves).max()))

@@ -8,7 +8,6 @@ effective area; the far tail of the squared crop maxima is close to exponential.
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 import hashlib
 import logging
@@ -20,7 +19,7 @@ import threading
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.solvers.cores import usable_cores
+from track_before_detect.solvers.cores import map_in_threads
 from track_before_detect.types import Progress
 
 _LOG = logging.getLogger(__name__)
@@ -146,8 +145,7 @@ def _simulate(study, crop, progress):
                 progress('calibrating the threshold on noise', done / n_crops)
         return value
 
-    with ThreadPoolExecutor(max_workers=usable_cores()) as pool:
-        return np.array(list(pool.map(largest, seeds)))
+    return np.array(map_in_threads(largest, seeds))
 
 
 def _crop_count(crop):
