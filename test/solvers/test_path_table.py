@@ -8,11 +8,12 @@ import pytest
 import naive
 from track_before_detect.models.amplitudes import (
     AmplitudeModel,
+    COMPLEX,
     CONSTANT,
     NON_NEGATIVE,
     SIGNED,
 )
-from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.state_graph import build_state_graph
 from track_before_detect.solvers import path_table
 from track_before_detect.solvers.path_search import PathSearch
@@ -125,6 +126,36 @@ def crowd(seed, n_targets, mask, model):
     return frames, valid
 
 
+@pytest.mark.parametrize('psf', [
+    pytest.param(GaussianPsf(1.0), id='gaussian'),
+    pytest.param(ArrayPsf(np.random.default_rng(7).random((5, 7))), id='of several components')])
+@pytest.mark.parametrize('code', [NON_NEGATIVE, COMPLEX, CONSTANT])
+@pytest.mark.parametrize('weighted', [False, True])
+def test_frames_that_differ_in_places_are_searched_as_if_new(psf, code, weighted):
+    generator = np.random.default_rng(3)
+    model = AmplitudeModel(code)
+    graph = build_state_graph(STAMPS, step_px=1 / psf.oversampling, max_speed=0.5,
+                              max_acceleration=0.0, turn_cost=3.0)
+    frames = generator.standard_normal((T, H, W)).astype(np.float32)
+    if code == COMPLEX:
+        frames = (frames + 1j * frames[::-1]).astype(np.complex64)
+    kept = PathSearch(graph, psf, (H, W), model)
+    for number in range(7):
+        if weighted and number % 3 == 0:
+            weights = generator.uniform(0.5, 1.5, (T, H, W))
+            kept.set_weights(weights)
+        fresh = PathSearch(graph, psf, (H, W), model)
+        fresh.set_weights(weights if weighted else None)
+        np.testing.assert_equal(*(
+            [dataclasses.astuple(path) for path in search.best_paths(
+                frames, 0.0, 3.0, lambda _: True, 5)[1]] for search in (kept, fresh)))
+        if number == 3:
+            kept.best_value(frames[::-1].copy())
+        frames = frames.copy()
+        y = generator.integers(0, H - 3)
+        frames[generator.integers(0, T), y:y + 3, 5:9] += 1 - number % 3
+
+
 def pursued(frames, valid, model, graph, threshold):
     psf = GaussianPsf(1.0)
     search = PathSearch(graph, psf, (H, W), model)
@@ -147,7 +178,7 @@ def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, ma
     monkeypatch.setattr(path_table, 'COST_OF_UPDATE', 0.0)
     quick = pursued(frames, valid, model, graph, threshold)
 
-    def from_the_start(table, scores, level):
+    def from_the_start(table, scores, level, rows=None):
         table.fill(scores)
         return float(table.best.max())
 

@@ -137,8 +137,8 @@ def _less_share(row, share, factor, tilt):
 
 @numba.njit(**_COMPILE)
 def scores_of_frame(out, real, imaginary, weights, shares, uneven, taps, level, scale_y, scale_x,
-                    model, factor, tilt, first_row, last_row):
-    """Write what a position adds to the value of a path.
+                    model, factor, tilt, rows, first_row, last_row):
+    """Write what a position adds to the value of a path, in those ``rows`` (Y,) that are true.
 
     With h the matched filter statistic that is max(h, 0)^2, h^2 or |h|^2 where amplitudes may
     fluctuate, and factor * h or factor * |h| where they are constant. ``shares`` (Y, X) is what
@@ -153,6 +153,8 @@ def scores_of_frame(out, real, imaginary, weights, shares, uneven, taps, level, 
     constant = model == CONSTANT or model == SIGNED_CONSTANT or model == COMPLEX_CONSTANT
     normalise = shares.shape[0] > 0 and not uneven
     for y in range(first_row, last_row):
+        if not rows[y]:
+            continue
         _filter_row(out[y], y, real, weights, taps, level, scale_y, scale_x, padded, part)
         if normalise:
             _over_norm(out[y], shares[y])

@@ -70,8 +70,8 @@ def _copy_and_size(out, o, source, a, n):
 
 
 @numba.njit(**_COMPILE)
-def replace_scores(scores, scores_bits, marks, rise, largest, new, new_bits, layout, first_row,
-                   last_row):
+def replace_scores(scores, scores_bits, marks, rise, largest, new, new_bits, rows, layout,
+                   first_row, last_row):
     """Bring the scores up to date, and find where they differ and how much they rise.
 
     scores, scores_bits : what is kept, and the same seen as int32
@@ -79,12 +79,15 @@ def replace_scores(scores, scores_bits, marks, rise, largest, new, new_bits, lay
     rise : float32 (Y, T), largest rise in the row, not below zero
     largest : float32 (Y, T), raised to the largest size of a new score in the row
     new, new_bits : float32 (T, Y, X), and the same, flat, seen as int32
+    rows : bool (T, Y), false where nothing differs
     """
     flat = new.reshape(new.size)
     for t in range(new.shape[0]):
         for y in range(first_row, last_row):
             marks[t, y] = 0
             rise[y, t] = 0
+            if not rows[t, y]:
+                continue
             row = (t * layout.n_y + y) * layout.n_x
             kept = layout.pad + (t * layout.n_y + y) * layout.stride
             if not _differ(new_bits, _U(row), scores_bits, _U(kept), layout.n_x):

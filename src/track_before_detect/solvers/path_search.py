@@ -24,6 +24,8 @@ from track_before_detect.solvers.path_table import PathTable
 from track_before_detect.solvers.position_scores import grid_shape, PositionScores
 from track_before_detect.solvers.sheared_plane import ShearedPlane
 
+NOTHING = np.empty((0, 0, 0), np.float32)
+
 
 @dataclass(frozen=True)
 class FoundPath:
@@ -77,6 +79,8 @@ class PathSearch:
             self._scores = MappedScores(psf, model, over_rows)
         else:
             self._scores = PositionScores(psf, shape, model, over_rows)
+        # The frames searched last and their scores, of no frames when nothing is known.
+        self._seen = self._kept = NOTHING
 
     def set_weights(self, weights: NDArray | None) -> None:
         """Tell one over the noise of each pixel of a new batch; None when all are one.
@@ -88,6 +92,7 @@ class PathSearch:
         """
         self._scores.set_weights(weights)
         self._table.forget()
+        self._seen = NOTHING
 
     def scores(self, frames: NDArray) -> NDArray:
         """Return what every position adds to the value of a path, shape (T, Y, X)."""
@@ -96,6 +101,7 @@ class PathSearch:
     def run(self, scores: NDArray) -> NDArray:
         """Compute all path weights; return the best by start of the last segment, (Y, X)."""
         self._table.fill(scores)
+        self._seen = NOTHING
         return self._table.best
 
     def best_value(self, frames: NDArray) -> float:
@@ -120,7 +126,7 @@ class PathSearch:
         limit : int
             Most paths that are traced.
         """
-        largest = self._table.update(self.scores(frames), above)
+        largest = self._update(frames, above)
         radius = max(1, round(separation / self.graph.step_px))
         return largest, [path for path in self._paths_of(self._table, above, radius, limit)
                          if is_new(path.positions)]
@@ -140,3 +146,17 @@ class PathSearch:
     def _sheared(self, scores):
         """Return scores of the frames' grid as they are searched."""
         return self._plane.shear(scores) if self._plane else scores
+
+    def _update(self, frames, above):
+        """Search frames, of which often only the rows around targets differ from the last."""
+        if self._plane or isinstance(self._scores, MappedScores):
+            return self._table.update(self.scores(frames), above)
+        if self._seen.shape != frames.shape:
+            self._kept = self._scores.scores(frames)
+            self._seen = frames.copy()
+            return self._table.update(self._kept, above)
+        changed = np.array([np.any(new != old, axis=1)
+                            for new, old in zip(frames, self._seen, strict=True)])
+        rows = self._scores.renew(self._kept, frames, changed)
+        self._seen[changed] = frames[changed]
+        return self._table.update(self._kept, above, rows)

@@ -73,16 +73,19 @@ class PathTable:
         self._compute([everything] * len(self._tables), everything[:, 0].copy())
         self._filled = True
 
-    def update(self, scores: NDArray, level: float) -> float:
+    def update(self, scores: NDArray, level: float, rows: NDArray | None = None) -> float:
         """Bring the table up to date with new scores; return the largest weight.
 
-        Afterwards ``best`` is exact wherever it is above ``level`` or the largest of all; below,
-        it may be a bound. Both come out as if the table had been filled, bit for bit.
+        Where ``rows`` (T, Y) are false the scores are those of the call before. Afterwards
+        ``best`` is exact wherever it is above ``level`` or the largest of all; below, it may be
+        a bound. Both come out as if the table had been filled, bit for bit.
         """
         if not self._filled:
             self.fill(scores)
             return float(self.best.max())
-        rise = self._mark_changes(np.ascontiguousarray(scores))
+        if rows is None:
+            rows = np.ones(scores.shape[:2], bool)
+        rise = self._mark_changes(np.ascontiguousarray(scores), rows)
         self.over_rows(path_update.raise_stale, self.best, self._stale_last, np.float32(rise),
                        self._layout)
         n_y = self._layout.n_y
@@ -190,14 +193,14 @@ class PathTable:
                        self._segments[-1], self._layout, wanted_last)
         self._stale_last &= ~wanted_last
 
-    def _mark_changes(self, scores):
+    def _mark_changes(self, scores, rows):
         """Keep new scores, mark the states that meet a change; return what a path may gain."""
         layout, n_frames = self._layout, len(scores)
         score_marks = np.empty((n_frames, layout.n_y), np.uint64)
         rise = np.empty((layout.n_y, n_frames), np.float32)
         self.over_rows(path_update.replace_scores, self._scores, self._scores.view(np.int32),
                        score_marks, rise, self._largest, scores,
-                       scores.view(np.int32).ravel(), layout)
+                       scores.view(np.int32).ravel(), rows, layout)
         before = np.empty((0, layout.n_v), np.uint64)
         last = np.zeros((layout.n_y, layout.n_v), np.uint64)
         for j, marks in enumerate([*self._stale, last]):

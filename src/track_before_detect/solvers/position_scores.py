@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from track_before_detect.kernels import matched_filter
@@ -95,8 +96,38 @@ class PositionScores:
             Of constant amplitudes: factor * n h - tilt * n^2, n one without weights. Unless a
             factor is given it is h over the root of the number of frames, as if n were one.
         """
+        scores = np.empty((len(frames), *self._grid_shape), np.float32)
+        self._fill(scores, frames, np.ones(scores.shape[:2], bool), factor, tilt)
+        return scores
+
+    def renew(self, scores: NDArray, frames: NDArray, changed: NDArray) -> NDArray[np.bool_]:
+        """Bring scores (T, Y, X) up to date after some rows of pixels have changed.
+
+        Parameters
+        ----------
+        scores : array, shape (T, Y, X)
+            Of the frames before; changed in place.
+        frames : array, shape (T, H, W)
+            The frames now.
+        changed : array of bool, shape (T, H)
+            Which rows of pixels differ.
+
+        Returns
+        -------
+        array of bool, shape (T, Y)
+            Which rows of the scores are computed anew.
+        """
+        half = self._taps.shape[3] // 2
+        n_sub = self._taps.shape[2]
+        padded = np.pad(changed, ((0, 0), (half, half)))
+        near = sliding_window_view(padded, 2 * half + 1, axis=1).any(axis=2)
+        rows = np.repeat(near, n_sub, axis=1)[:, :self._grid_shape[0]]
+        self._fill(scores, frames, rows)
+        return rows
+
+    def _fill(self, scores, frames, rows, factor=None, tilt=0.0):
+        """Write the marked ``rows`` (T, Y) of the scores."""
         n_frames = len(frames)
-        scores = np.empty((n_frames, *self._grid_shape), np.float32)
         weighted = self.shares is not None
         uneven = weighted and self._model.is_constant and factor is not None
         factor = n_frames**-0.5 if factor is None else factor
@@ -115,10 +146,9 @@ class PositionScores:
                 matched_filter.scores_of_frame(
                     scores[t], real[t], imaginary[t], _frame_of(self._weights, t),
                     _frame_of(shares, t), uneven, self._taps, self._level, scale_y,
-                    scale_x, self._model.code, factor, tilt, first, last)
+                    scale_x, self._model.code, factor, tilt, rows[t], first, last)
 
         self._over_rows(fill)
-        return scores
 
     def _shares_of(self, squared_weights):
         """Return the squared norm that weights leave of the PSF over that of the whole, float32.
