@@ -7,7 +7,8 @@ frames of GOSPA (Rahmathullah, García-Fernández and Svensson, Fusion 2017) wit
 
 The programme is solved exactly, but rarely as a whole: a pair that is never within the cutoff is
 left out for good, the rest is priced by the duals of the best assignment that never changes, and
-only what could improve on it enters a programme (column generation).
+only what could improve on it enters a programme (column generation), in which runs of frames where
+nothing competes count as one.
 """
 
 from __future__ import annotations
@@ -213,10 +214,13 @@ def _outbid(pairs, lasting, ends, side):
               np.zeros((pairs.counts[1 - side], n_frames))]
     values[0][own[lasting]] = pairs.gains[lasting]
     rivals = np.flatnonzero(~lasting)
-    for _ in range(_MOST_ROUNDS):
+    # In the order of what they bid for: taking the most of each run is quick.
+    rivals = rivals[np.argsort(other[rivals], kind='stable')]
+    wanted, starts = np.unique(other[rivals], return_index=True)
+    for _ in range(_MOST_ROUNDS if len(rivals) else 0):
         bids = pairs.gains[rivals] - values[0][own[rivals]]
         raised = values[1].copy()
-        np.maximum.at(raised, other[rivals], bids)
+        raised[wanted] = np.maximum(raised[wanted], np.maximum.reduceat(bids, starts))
         # Nobody pays more than it gains; what has no partner has no price.
         ceiling = np.zeros_like(raised)
         ceiling[other[lasting]] = pairs.gains[lasting]
@@ -250,35 +254,74 @@ def _competing(pairs, active, lasting, improving):
 def _solve(pairs, members, half_switch, weights, duals):
     """Solve the programme of some pairs; updates their weights and the duals of their ends.
 
-    Variables are the weights, pair by pair and frame by frame, then how
-    much each rises and falls between frames.
+    Variables are the weights, pair by pair and block by block of frames, then how much each rises
+    and falls between blocks.
     """
-    n_frames = pairs.gains.shape[1]
-    n_weights, n_changes = len(members) * n_frames, len(members) * (n_frames - 1)
-    frames = np.tile(np.arange(n_frames), len(members))
-    blocks, nodes = [], []
-    for side in (0, 1):
-        names, local = np.unique(pairs.ends[members, side], return_inverse=True)
-        rows = np.repeat(local, n_frames) * n_frames + frames
-        blocks.append(sparse.coo_array(
-            (np.ones(n_weights), (rows, np.arange(n_weights))),
-            shape=(len(names) * n_frames, n_weights)))
-        nodes.append(names)
-    capacity = sparse.vstack(blocks)
-    step = sparse.diags([-np.ones(n_frames - 1), np.ones(n_frames - 1)], offsets=[0, 1],
-                        shape=(n_frames - 1, n_frames))
-    differences = sparse.kron(sparse.identity(len(members)), step)
+    gains = pairs.gains[members]
+    ends = pairs.ends[members] + [0, pairs.counts[0]]
+    begins = _block_begins(gains > 0, ends, sum(pairs.counts))
+    variable = np.cumsum(begins).reshape(begins.shape) - 1
+    block_gains = np.bincount(variable.ravel(), gains.ravel())
+    starts = _row_starts(begins, ends, sum(pairs.counts))
+    row = np.cumsum(starts).reshape(starts.shape) - 1
+    n_weights, n_rows = len(block_gains), int(row.max()) + 1
+    pair, which, frame = np.nonzero(starts[ends])
+    capacity = sparse.coo_array(
+        (np.ones(len(pair)), (row[ends[pair, which], frame], variable[pair, frame])),
+        shape=(n_rows, n_weights))
+    later = np.setdiff1d(np.arange(n_weights), variable[:, 0])
+    n_changes = len(later)
+    differences = sparse.coo_array(
+        (np.repeat([1.0, -1.0], n_changes),
+         (np.tile(np.arange(n_changes), 2), np.append(later, later - 1))),
+        shape=(n_changes, n_weights))
     rises = sparse.identity(n_changes)
     solution = linprog(
-        np.concatenate([-pairs.gains[members].ravel(), np.full(2 * n_changes, half_switch)]),
-        A_ub=sparse.hstack([capacity, sparse.coo_array((capacity.shape[0], 2 * n_changes))]),
-        b_ub=np.ones(capacity.shape[0]),
+        np.concatenate([-block_gains, np.full(2 * n_changes, half_switch)]),
+        A_ub=sparse.hstack([capacity, sparse.coo_array((n_rows, 2 * n_changes))]),
+        b_ub=np.ones(n_rows),
         A_eq=sparse.hstack([differences, -rises, rises]), b_eq=np.zeros(n_changes),
         bounds=(0, None), method='highs')
     if not solution.success:
         raise DataError(f'the trajectories could not be compared: {solution.message}')
-    weights[members] = np.clip(solution.x[:n_weights], 0, 1).reshape(-1, n_frames)
-    values = -solution.ineqlin.marginals
-    split = len(nodes[0]) * n_frames
-    duals[0][nodes[0]] = values[:split].reshape(-1, n_frames)
-    duals[1][nodes[1]] = values[split:].reshape(-1, n_frames)
+    weights[members] = np.clip(solution.x[:n_weights], 0, 1)[variable]
+    # What an end is worth, shared out evenly over the frames of its row of the programme.
+    values = (-solution.ineqlin.marginals / np.bincount(row.ravel()))[row]
+    for side in (0, 1):
+        duals[side][pairs.ends[members, side]] = values[ends[:, side]]
+        # And over those of a block in which a pair gains in proportion to the gain, so that the
+        # pair is not better off for a part of the block.
+        worth = np.bincount(variable.ravel(), values[ends[:, side]].ravel())
+        share = gains * (worth / np.maximum(block_gains, 1e-300))[variable]
+        one, frame = np.nonzero(gains > 0)
+        duals[side][pairs.ends[members[one], side], frame] = share[one, frame]
+
+
+def _block_begins(gaining, ends, n_ends):
+    """Return in which frames a pair begins a block, inside which its weight need not change.
+
+    A block is a run of frames in which the pair gains nothing, or in which it gains and no other
+    pair of its two ends does; any other frame is one for itself. Some best solution is constant in
+    all of them: give each pair its least weight in the blocks where it gains nothing, which only
+    makes room, and then its largest in those where it gains, for which there is room throughout.
+    Neither raises the sum of its changes.
+    """
+    rivals = np.zeros((n_ends, gaining.shape[1]), np.int64)
+    for side in (0, 1):
+        np.add.at(rivals, ends[:, side], gaining)
+    contested = gaining & (rivals[ends] > 1).any(axis=1)
+    begins = np.ones(gaining.shape, bool)
+    begins[:, 1:] = (gaining[:, 1:] != gaining[:, :-1]) | contested[:, 1:] | contested[:, :-1]
+    return begins
+
+
+def _row_starts(begins, ends, n_ends):
+    """Return in which frames an end begins a row of the programme, shape (ends, T).
+
+    An end has a row for each run of frames in which none of its pairs begins a block.
+    """
+    starts = np.zeros((n_ends, begins.shape[1]), bool)
+    starts[:, 0] = True
+    for side in (0, 1):
+        np.logical_or.at(starts, ends[:, side], begins)
+    return starts
