@@ -58,6 +58,10 @@ class DetectorOptions:
         None, 'Point spread function in place of the Gaussian: an array with odd sides, the '
         'target in its middle, of any scale; between the pixels by a cubic spline. A file is '
         '.npy, .npz or an image.', kind='array', optional=True)
+    exposure_s: float = _option(
+        0.0, 'Time for which the shutter is open, around the stamp of a frame: a target is '
+        'smeared along its motion during this time. 0 takes it as a moment.', kind='number',
+        unit='s', minimum=0.0)
     max_speed_px_s: float | None = _option(
         None, 'Largest speed of a target in the registered image; automatic is one pixel per '
         'median frame interval.', kind='number', unit='px/s', minimum=0.0, optional=True)

@@ -9,7 +9,7 @@ from track_before_detect.kernels.amplitude_codes import (
     NON_NEGATIVE,
     SIGNED_CONSTANT,
 )
-from track_before_detect.kernels.sight import curvatures, look, sharpest
+from track_before_detect.kernels.sight import curvatures, look, sharpest, smear_curvatures
 
 _COMPILE = {'nogil': True, 'cache': True}
 
@@ -74,6 +74,10 @@ def climb(positions, basis, sight, limits, frames, weights, model, most_steps):
     right = np.empty(n_basis)
     _clip(positions, limits[0], limits[1])
     curvatures(sight, positions, curvature)
+    smeared = sight.maps.shape[0] == 0 and sight.optics[0].exposure > 0.0
+    cross = np.zeros(n_frames)
+    if smeared:
+        smear_curvatures(sight.optics[0], positions, curvature, cross)
     sigma = sharpest(curvature)
     look(sight, positions, frames, weights, model, seen, norms)
     value = best_amplitudes(seen, norms, model, amplitudes)
@@ -94,6 +98,9 @@ def climb(positions, basis, sight, limits, frames, weights, model, most_steps):
                     right[i] += here * slope
                     for k in range(n_basis):
                         normal[i, k] += bend * here * basis[t, axis, k]
+                        if smeared:
+                            normal[i, k] += ((amplitudes[t]**2 + 0.1) * cross[t] * here
+                                             * basis[t, 1 - axis, k])
         for i in range(n_basis):
             normal[i, i] = normal[i, i] * (1.0 + damping) + 1e-9
         step = (rows @ np.linalg.solve(normal, right)).reshape(n_frames, 2)

@@ -11,6 +11,7 @@ import math
 import numba
 import numpy as np
 
+from track_before_detect.kernels.profiles import smear_of
 from track_before_detect.kernels.stamps import render, statistic_and_slope
 
 _COMPILE = {'nogil': True, 'cache': True}
@@ -91,6 +92,34 @@ def curvatures(sight, positions, out):
         own = sight.optics[sight.sensor[t] if sight.maps.shape[0] > 0 else 0].curvature
         for axis in range(2):
             out[t, axis] = own[0] * slope[0, axis]**2 + own[1] * slope[1, axis]**2
+
+
+@numba.njit(**_COMPILE)
+def smear_curvatures(optics, positions, curvature, cross):
+    """Lower curvatures (T, 2) along the smear, write how x and y are joined to ``cross`` (T,).
+
+    As for a Gaussian: at distance d along the smear two of its nodes overlap by
+    exp(-curvature d^2 / 2).
+    """
+    for t in range(positions.shape[0]):
+        x, y = smear_of(optics, positions, t)
+        squared = x * x + y * y
+        cross[t] = 0.0
+        if squared == 0.0:
+            continue
+        along = (curvature[t, 0] * x * x + curvature[t, 1] * y * y) / squared
+        bend = 0.0
+        norm = 0.0
+        for m in range(optics.nodes.size):
+            for n in range(optics.nodes.size):
+                apart = along * squared * (optics.nodes[m] - optics.nodes[n])**2
+                share = optics.shares[m] * optics.shares[n] * math.exp(-0.5 * apart)
+                bend += share * (1.0 - apart)
+                norm += share
+        lost = along * (1.0 - max(bend / norm, 0.05)) / squared
+        curvature[t, 0] -= lost * x * x
+        curvature[t, 1] -= lost * y * y
+        cross[t] = -lost * x * y
 
 
 @numba.njit(**_COMPILE)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError, suggestion
-from track_before_detect.simulation.sensor import add_target
+from track_before_detect.simulation.sensor import add_streak, add_target
 
 _MAX_TRIES = 5000
 
@@ -72,6 +72,10 @@ class Scenario:
     psf_sigma_px: float = _parameter(
         1.0, 'Standard deviation of the point spread function.', unit='px', minimum=0.3,
         maximum=20.0)
+    exposure_s: float = _parameter(
+        0.0, 'Time for which the shutter is open, around the stamp of a frame: a target is '
+        'smeared along its motion, and its amplitude that of the smeared picture scaled to unit '
+        'norm.', unit='s', minimum=0.0, maximum=1e6)
     n_targets: int = _parameter(1, 'Targets.', minimum=0, maximum=1000)
     snr: float = _parameter(
         3.0, 'Amplitude over noise standard deviation in one frame; its root mean square when '
@@ -212,9 +216,15 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
         around = scenario.width * np.arange(-1, 2) if scenario.doppler_ambiguities else [0]
         if scenario.doppler_ambiguities:
             path[:, 0] = (path[:, 0] + 0.5) % scenario.width - 0.5
-        for frame, (x, y), a in zip(frames, path, amplitude, strict=True):
+        streaks = np.zeros_like(path)
+        if scenario.exposure_s and scenario.n_frames > 1:
+            streaks = scenario.exposure_s * scenario.fps * np.gradient(path, axis=0)
+        for frame, (x, y), a, streak in zip(frames, path, amplitude, streaks, strict=True):
             for shift in around:
-                add_target(frame, x + shift, y, scenario.psf_sigma_px, a)
+                if scenario.exposure_s:
+                    add_streak(frame, x + shift, y, scenario.psf_sigma_px, a, streak)
+                else:
+                    add_target(frame, x + shift, y, scenario.psf_sigma_px, a)
     truth = [np.column_stack([np.arange(len(path)), np.full(len(path), target), path])
              for target, path in enumerate(positions)]
     return SimulatedRecording(

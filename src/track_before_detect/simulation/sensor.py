@@ -7,6 +7,9 @@ from numpy.typing import NDArray
 
 # Beyond this many standard deviations a Gaussian is below float32 rounding of its peak.
 _REACH_SIGMAS = 6.0
+# Moments of an exposure for each standard deviation along the streak, and for the shortest one.
+_MOMENTS_PER_SIGMA = 8
+_LEAST_MOMENTS = 16
 
 
 def add_target(frame: NDArray, x: float, y: float, sigma: float, amplitude: float) -> None:
@@ -31,6 +34,38 @@ def add_target(frame: NDArray, x: float, y: float, sigma: float, amplitude: floa
         return
     frame[rows[top]:rows[bottom - 1] + 1, columns[left]:columns[right - 1] + 1] += (
         amplitude * np.outer(down[top:bottom], across[left:right]))
+
+
+def add_streak(frame: NDArray, x: float, y: float, sigma: float, amplitude: float,
+               streak: NDArray) -> None:
+    """Add a target that moves while the shutter is open, in place.
+
+    Parameters
+    ----------
+    frame, x, y, sigma
+        As for :func:`add_target`; the position is that in the middle of the exposure.
+    amplitude : float
+        Factor of the streak scaled to unit norm.
+    streak : array, shape (2,)
+        Way in x and y during the exposure in pixels.
+    """
+    length = float(np.hypot(*streak))
+    if length == 0.0:
+        add_target(frame, x, y, sigma, amplitude)
+        return
+    reach = int(np.ceil(_REACH_SIGMAS * sigma + length / 2)) + 1
+    left, top = int(np.rint(x)) - reach, int(np.rint(y)) - reach
+    picture = np.zeros((2 * reach + 1, 2 * reach + 1))
+    n_moments = max(_LEAST_MOMENTS, int(np.ceil(_MOMENTS_PER_SIGMA * length / sigma)))
+    for moment in (np.arange(n_moments) + 0.5) / n_moments - 0.5:
+        add_target(picture, x - left + moment * streak[0], y - top + moment * streak[1], sigma,
+                   1.0)
+    picture *= amplitude / np.linalg.norm(picture)
+    height, width = frame.shape
+    rows = slice(max(0, top), max(0, min(height, top + len(picture))))
+    columns = slice(max(0, left), max(0, min(width, left + len(picture))))
+    frame[rows, columns] += picture[rows.start - top:rows.stop - top,
+                                    columns.start - left:columns.stop - left]
 
 
 def gaussian_stamp_image(shape: tuple[int, int], x: float, y: float,

@@ -91,6 +91,8 @@ class BatchDetector(ABC):
     takes_any_psf = False
     # Whether pixels are weighed by their noise; otherwise each counts as much as it is noisy.
     weighs_pixels = False
+    # Whether a target may be smeared by its motion while the shutter is open.
+    knows_streaks = False
 
     def __init__(self, options: DetectorOptions):
         self.options = options
@@ -108,6 +110,10 @@ class BatchDetector(ABC):
         if options.directions is not None and options.detector != 'pc_dp':
             raise ParameterError(
                 f'directions needs the detector pc_dp, got {options.detector}')
+        if options.exposure_s and not self.knows_streaks:
+            raise ParameterError(
+                f'{options.detector} cannot search streaks: leave exposure_s 0, or take the '
+                f'detector convex or greedy, got {options.exposure_s:g} s')
         # Thresholds for numbers of frames and shapes, each with the frame interval it is for.
         self._thresholds: dict[tuple, list[tuple[float, float]]] = {}
 

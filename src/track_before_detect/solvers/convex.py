@@ -21,7 +21,7 @@ class ConvexDetector(PathDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
         paths = task.paths
-        shared = (task.graph, self.psf, task.times, task.weights, self.model)
+        shared = (task.graph, task.psf, task.times, task.weights, self.model)
         refiner = PartialRefiner(*shared, self.presence) if self.presence else Refiner(*shared)
         result = pursue(task.search, refiner, paths, 3 * self.psf.width_px,
                         PursuitSettings(self.options.continuation), self._start(task))

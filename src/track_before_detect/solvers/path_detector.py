@@ -21,6 +21,7 @@ from track_before_detect.models.state_graph import (
     regular_stamps,
     StateGraph,
 )
+from track_before_detect.models.streak import StreakPsf, streaks_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
@@ -76,6 +77,8 @@ class Task:
         In the unit of time of the graph.
     weights : float32 array, shape (T, H, W), (1, H, W) or (0, 0, 0)
         One over the noise of each pixel, zero where masked; of no frames where it is one.
+    psf : Psf or PlaneView
+        What a target looks like in these frames.
     """
 
     graph: StateGraph
@@ -83,6 +86,7 @@ class Task:
     paths: PathSet
     times: NDArray[np.float64]
     weights: NDArray[np.float32]
+    psf: Psf | PlaneView
 
 
 class PathDetector(BatchDetector):
@@ -99,6 +103,7 @@ class PathDetector(BatchDetector):
 
     takes_any_psf = True
     weighs_pixels = True
+    knows_streaks = True
 
     def __init__(self, options: DetectorOptions, view: PlaneView | None = None):
         super().__init__(options)
@@ -106,6 +111,7 @@ class PathDetector(BatchDetector):
         self.psf: Psf | PlaneView = view or psf_of(options)
         self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
         _check_motion(options)
+        _check_exposure(options, view)
         self.presence = presence_for(self.model) if options.presence == 'partial' else None
         self._kept_graph: tuple[tuple, StateGraph] | None = None
         self._search: tuple[tuple, PathSearch] | None = None
@@ -141,7 +147,8 @@ class PathDetector(BatchDetector):
         velocity_step = self._graph(stamps, min(speed, 1e-9), acceleration).velocity_step
         fitting = min(speed, float(np.hypot(*shape)), WIDEST_DISC * velocity_step)
         graph = self._graph(stamps, fitting, acceleration)
-        while not self._affordable(graph, shape):
+        psf = self._seen_psf(stamps)
+        while not self._affordable(graph, shape, psf):
             if graph.n_velocities == 1:
                 raise ParameterError(
                     f'a batch of {len(stamps)} frames of {shape[1]} x {shape[0]} pixels is too '
@@ -201,13 +208,17 @@ class PathDetector(BatchDetector):
                 'max_acceleration_px_s2, doppler_ambiguities or batch_length')
         return graph
 
-    def _affordable(self, graph, shape):
+    def _affordable(self, graph, shape, psf=None):
         grid = grid_shape(self.psf, shape)
         if graph.coupling is not None:
             grid = ShearedPlane(graph, grid).shape
         states = graph.n_segments * graph.n_velocities * float(np.prod(grid))
         # A search of targets that enter and leave keeps the last segment as well.
         memory = 4 * states if self.presence else table_bytes(graph, grid)
+        if isinstance(psf, StreakPsf):
+            # Streaks of each shape have scores of their own, which the table copies.
+            n_scores = len(streaks_of(graph, psf)[0]) * graph.n_frames * float(np.prod(grid))
+            memory += 8 * n_scores
         return (memory <= MOST_TABLE_BYTES
                 and states * (1 + 4 * graph.reach) <= MOST_COMPARISONS)
 
@@ -215,13 +226,13 @@ class PathDetector(BatchDetector):
         """Return how to find the largest statistic of any path in noise."""
         graph = self.graph(stamps, shape)
 
-        margin = self._margin(graph, shape[1])
+        margin, psf = self._margin(graph, shape[1]), self._seen_psf(stamps)
         doppler = graph.coupling is not None
 
         def searcher(crop):
             view = self._view.window(crop) if self._view else None
             searched = (crop[0], crop[1] + 2 * margin)
-            search = self._new_search(graph, view or self.psf, searched, 1)
+            search = self._new_search(graph, view or psf, searched, 1)
             pixels = view.frame_shape if view else crop
 
             def largest(generator):
@@ -236,7 +247,7 @@ class PathDetector(BatchDetector):
             return graph.effective_area((size[0], size[1] + 2 * margin * doppler), margin > 0)
 
         return NoiseStudy(
-            f'{graph.fingerprint()} {self.psf.key} {self.model} {self.presence} {margin > 0}',
+            f'{graph.fingerprint()} {psf.key} {self.model} {self.presence} {margin > 0}',
             area, searcher, doppler)
 
     def _margin(self, graph, width):
@@ -273,14 +284,15 @@ class PathDetector(BatchDetector):
             frames = np.where(valid, frames, frames.dtype.type(0))
             weights = valid.astype(np.float32) if weights is None else weights * valid
         searched = self._view.shape if self._view else frames.shape[1:]
-        search = self._path_search(graph, searched, weights)
+        psf = self._seen_psf(stamps)
+        search = self._path_search(graph, psf, searched, weights)
         if weights is None:
             weights = np.zeros((0, 0, 0), np.float32)
         weights = np.ascontiguousarray(weights, np.float32)
         ambiguous = self.options.doppler_ambiguities > 0
-        paths = PathSet(frames, weights, self.psf, self._weight(threshold, len(frames)),
+        paths = PathSet(frames, weights, psf, self._weight(threshold, len(frames)),
                         self.model, shape[1] if ambiguous else None)
-        result = self.solve(Task(graph, search, paths, self._times(stamps), weights))
+        result = self.solve(Task(graph, search, paths, self._times(stamps), weights, psf))
         if margin:
             in_columns = in_frame if ambiguous else once_each
             result = replace(result, found=in_columns(result.found, margin, shape[1]))
@@ -329,11 +341,27 @@ class PathDetector(BatchDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
 
-    def _path_search(self, graph, shape, weights):
+    def _seen_psf(self, stamps):
+        """Return what a target looks like in frames taken at ``stamps``."""
+        exposure = self.options.exposure_s
+        if not exposure or len(stamps) == 1:
+            return self.psf
+        interval = median_interval(stamps)
+        if exposure > interval:
+            raise ParameterError(
+                f'exposure_s must be at most the median interval of the frames, {interval:g} s, '
+                f'got {exposure:g} s')
+        assert isinstance(self.psf, Psf)
+        share = float(f'{exposure / interval:.3g}')
+        # A little more, for velocities between frames differ from those of the search.
+        longest = 1.1 * share * self.max_speed(stamps) * interval
+        return StreakPsf(self.psf, share, longest, tuple(self._times(stamps).tolist()))
+
+    def _path_search(self, graph, psf, shape, weights):
         """Return the search for these paths, with its tables where the last one had them."""
-        key = (shape, graph.fingerprint())
+        key = (shape, graph.fingerprint(), psf.key)
         if self._search is None or self._search[0] != key:
-            self._search = (key, self._new_search(graph, self.psf, shape, usable_cores()))
+            self._search = (key, self._new_search(graph, psf, shape, usable_cores()))
         self._search[1].set_weights(weights)
         return self._search[1]
 
@@ -350,6 +378,26 @@ def psf_of(options: DetectorOptions) -> Psf:
     if options.psf is not None:
         return ArrayPsf(options.psf.array)
     return GaussianPsf(options.psf_sigma_px, options.psf_model == 'integrated_gaussian')
+
+
+def _check_exposure(options, view):
+    """Refuse what streaks cannot be combined with."""
+    if not options.exposure_s:
+        return
+    for name, allowed in (
+            ('motion_model', ('nearly_constant_velocity', 'constant_velocity', 'static')),
+            ('registration', ('none',)), ('presence', ('full',)),
+            ('amplitude_model', ('fluctuating',))):
+        if getattr(options, name) not in allowed:
+            raise ParameterError(f'exposure_s above 0 needs {name} {" or ".join(allowed)}, got '
+                                 f'{getattr(options, name)}')
+    if view is not None:
+        raise ParameterError(
+            f'exposure_s must be 0 for several sensors, got {options.exposure_s:g} s')
+    if options.continuation[-1] == 1.0:
+        raise ParameterError(
+            'exposure_s above 0 needs a continuation that ends below 1: streaks are searched by '
+            'shapes that are near to theirs, which a certificate over all paths cannot rest on')
 
 
 def _check_motion(options):

@@ -19,10 +19,12 @@ from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.psf import Psf
 from track_before_detect.models.state_graph import StateGraph
+from track_before_detect.models.streak import StreakPsf, streaks_of
 from track_before_detect.solvers.mapped_scores import MappedScores
 from track_before_detect.solvers.path_table import PathTable
 from track_before_detect.solvers.position_scores import grid_shape, PositionScores
 from track_before_detect.solvers.sheared_plane import ShearedPlane
+from track_before_detect.solvers.streak_scores import StreakScores
 
 NOTHING = np.empty((0, 0, 0), np.float32)
 
@@ -71,12 +73,16 @@ class PathSearch:
         frame_grid = grid_shape(psf, shape)
         self._plane = ShearedPlane(graph, frame_grid) if graph.coupling else None
         self.grid_shape = self._plane.shape if self._plane else frame_grid
-        self._table = PathTable(graph, self.grid_shape, n_threads)
+        streaks, kind = streaks_of(graph, psf) if isinstance(psf, StreakPsf) else (None, None)
+        self._table = PathTable(graph, self.grid_shape, n_threads, kind)
         over_rows = (
             (lambda work: work(0, frame_grid[0])) if self._plane else self._table.over_rows)
         self._scores: PositionScores | MappedScores
         if isinstance(psf, PlaneView):
             self._scores = MappedScores(psf, model, over_rows)
+        elif isinstance(psf, StreakPsf):
+            assert streaks is not None
+            self._scores = StreakScores(psf, shape, model, over_rows, streaks)
         else:
             self._scores = PositionScores(psf, shape, model, over_rows)
         # The frames searched last and their scores, of no frames when nothing is known.
@@ -149,7 +155,7 @@ class PathSearch:
 
     def _update(self, frames, above):
         """Search frames, of which often only the rows around targets differ from the last."""
-        if self._plane or isinstance(self._scores, MappedScores):
+        if self._plane or isinstance(self._scores, (MappedScores, StreakScores)):
             return self._table.update(self.scores(frames), above)
         if self._seen.shape != frames.shape:
             self._kept = self._scores.scores(frames)

@@ -36,6 +36,10 @@ class PathTable:
         Threads that share the rows. The compiled loops release the interpreter lock, so plain
         threads do, and numba's own threading layer, which aborts the process when two threads
         enter it, is never used.
+    kind : array of int, shape (V,), optional
+        Where what a position adds depends on the velocity: which of several scores is that of a
+        velocity. Scores are then (C * T, Y, X), all frames of the first kind first, and every
+        update computes all states.
 
     Attributes
     ----------
@@ -43,11 +47,15 @@ class PathTable:
         Largest weight of the paths that start their last segment at a position.
     """
 
-    def __init__(self, graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1):
+    def __init__(self, graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1,
+                 kind: NDArray | None = None):
         self._graph = graph
         self._n_threads = n_threads
         self._layout = _layout(graph, grid_shape)
-        self._segments = [_segment(graph, j, self._layout) for j in range(graph.n_segments)]
+        self._n_kinds = 1 if kind is None else int(kind.max()) + 1
+        kind = np.zeros(graph.n_velocities, np.int64) if kind is None else kind
+        self._segments = [_segment(graph, j, self._layout, kind)
+                          for j in range(graph.n_segments)]
         self._grid_shape = grid_shape
         # Memory is taken when the first search asks for it.
         self.best = np.empty((0, 0), np.float32)
@@ -80,7 +88,7 @@ class PathTable:
         ``best`` is exact wherever it is above ``level`` or the largest of all; below, it may be
         a bound. Both come out as if the table had been filled, bit for bit.
         """
-        if not self._filled:
+        if not self._filled or self._n_kinds > 1:
             self.fill(scores)
             return float(self.best.max())
         if rows is None:
@@ -170,7 +178,7 @@ class PathTable:
     def _take_memory(self):
         if len(self._scores):
             return
-        layout, n_frames = self._layout, self._graph.n_frames
+        layout, n_frames = self._layout, self._n_kinds * self._graph.n_frames
         margin = 2 * layout.pad + layout.lanes
         self._scores = np.full(n_frames * layout.n_y * layout.stride + margin, ABSENT)
         self._largest = np.empty((layout.n_y, n_frames), np.float32)
@@ -246,11 +254,11 @@ def _layout(graph, grid_shape):
         pad=pad, guard=stride + 2 * pad)
 
 
-def _segment(graph, j, layout):
+def _segment(graph, j, layout, kind):
     """Return what the compiled loops need to know of a segment."""
     first, last = graph.knots[j], graph.knots[j + 1]
     moves = np.asarray(graph.moves[first:last], np.int64)
-    frames = np.arange(first, last)[:, None] * layout.n_y
+    frames = (np.arange(first, last)[:, None] + graph.n_frames * kind) * layout.n_y
     offsets = (frames + moves[:, :, 1]) * layout.stride + moves[:, :, 0]
     reach = int(graph.reach)
     lengths = np.diff(graph.row_first)

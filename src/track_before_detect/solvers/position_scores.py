@@ -131,7 +131,7 @@ class PositionScores:
         weighted = self.shares is not None
         uneven = weighted and self._model.is_constant and factor is not None
         factor = n_frames**-0.5 if factor is None else factor
-        shares = self.shares if weighted else self._border
+        shares = self._border if self.shares is None else self.shares
         if weighted or len(self._border):
             scale_y, scale_x = self._ones
         else:
@@ -144,8 +144,8 @@ class PositionScores:
         def fill(first, last):
             for t in range(n_frames):
                 matched_filter.scores_of_frame(
-                    scores[t], real[t], imaginary[t], _frame_of(self._weights, t),
-                    _frame_of(shares, t), uneven, self._taps, self._level, scale_y,
+                    scores[t], real[t], imaginary[t], frame_of(self._weights, t),
+                    frame_of(shares, t), uneven, self._taps, self._level, scale_y,
                     scale_x, self._model.code, factor, tilt, rows[t], first, last)
 
         self._over_rows(fill)
@@ -170,7 +170,7 @@ class PositionScores:
         return shares
 
 
-def _frame_of(stack, t):
+def frame_of(stack: NDArray, t: int) -> NDArray:
     """Return the entry of frame ``t`` of a stack of one for each, one for all, or none."""
     return stack[t if len(stack) > 1 else 0] if len(stack) else NOTHING
 

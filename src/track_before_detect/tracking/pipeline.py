@@ -150,7 +150,8 @@ class TrackingPipeline:
         """Run every kernel once, on a target bright enough to pass through all stages."""
         options = self._options.replace(
             threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
-            variance=None, mask=None, doppler_ambiguities=0)
+            variance=None, mask=None, doppler_ambiguities=0,
+            exposure_s=min(self._options.exposure_s, 1.0))
         frames = np.random.default_rng(0).standard_normal((8, 24, 24)).astype(np.float32)
         frames[:, 10:13, 10:13] += 8
         if options.amplitudes == 'complex':
