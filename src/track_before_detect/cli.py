@@ -277,8 +277,8 @@ def _add_bench(commands):
     bench.set_defaults(run=_bench)
     bench.add_argument('bench', metavar='BENCH', nargs='?', default='convex',
                        help='what is measured: convex (default); dp, dynamic programming beside '
-                       'plain NumPy; parallel, target cancellation by direction; '
-                       'velocity_filter, beside plain NumPy')
+                       'plain NumPy; fit, amplitudes of thousands of given paths; parallel, '
+                       'target cancellation by direction; velocity_filter, beside plain NumPy')
     bench.add_argument('--output', metavar='FILE.json', default='bench.json',
                        help='file to write (default: bench.json)')
     bench.add_argument('--repeats', metavar='R', type=int, default=7,

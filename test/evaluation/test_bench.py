@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.evaluation import bench, bench_dp, bench_search, benches
+from track_before_detect.evaluation import bench, bench_dp, bench_fit, bench_search, benches
 from track_before_detect.evaluation.machine import describe_machine
 from track_before_detect.evaluation.numpy_merit import numpy_merit_functions
 from track_before_detect.solvers.merit_functions import merit_functions
@@ -65,6 +65,16 @@ def test_measurements_are_plain_numbers_and_make_a_table(measured):
     text = bench.bench_table(measured)
     assert '6 x 44 x 40' in text and 'tiny' in text
     assert describe_machine()['processor'] in text
+
+
+def test_fit_of_all_constant_velocities_reaches_its_gap():
+    measured = bench_fit.measure_fit(2, False, quiet)
+    assert json.loads(json.dumps(measured)) == measured
+    assert measured['n_paths'] > 6000
+    for case in measured['cases']:
+        assert 0 <= case['gap'] <= 1e-6 * case['objective']
+        assert case['n_used'] > 0 and case['fit']['cpu_s']['min'] > 0
+    assert '7.5' in bench_fit.fit_table(measured)
 
 
 def test_machine_is_described_without_its_name():

@@ -9,6 +9,7 @@ from typing import Any
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.evaluation.bench import bench_table, measure_convex
 from track_before_detect.evaluation.bench_dp import dp_table, measure_dp
+from track_before_detect.evaluation.bench_fit import fit_table, measure_fit
 from track_before_detect.evaluation.bench_parallel import measure_parallel, parallel_table
 from track_before_detect.evaluation.bench_velocity import measure_velocity, velocity_table
 from track_before_detect.types import Progress
@@ -34,6 +35,7 @@ class Bench:
 BENCHES: dict[str, Bench] = {
     'convex': Bench(measure_convex, bench_table),
     'dp': Bench(measure_dp, dp_table),
+    'fit': Bench(measure_fit, fit_table),
     'parallel': Bench(measure_parallel, parallel_table),
     'velocity_filter': Bench(measure_velocity, velocity_table),
 }

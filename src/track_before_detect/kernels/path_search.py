@@ -35,6 +35,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.kernels.borrowed import borrowed
+
 ABSENT = np.float32(-1e30)
 # Blocks of positions in a row, one for each bit of a mark.
 BLOCKS = 64
@@ -295,8 +297,11 @@ def extend_paths(value, before, scores, segment, layout, marks, first_row, last_
 
     ``before`` of no states starts the paths: the maximum is then zero.
     """
+    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed``.
+    value, before, scores = borrowed(value), borrowed(before), borrowed(scores)
+    offsets = borrowed(segment.offsets)
     # Taken out once: each use of a tuple that holds arrays updates their reference counts.
-    offsets, first_y, last_y = segment.offsets, segment.first_y, segment.last_y
+    first_y, last_y = segment.first_y, segment.last_y
     arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
     columns, reach, cost = segment.columns, segment.reach, segment.cost
     n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
@@ -341,8 +346,11 @@ def finish_paths(best, before, scores, segment, layout, marks, first_row, last_r
 
     The weights are those of the function ``extend_paths``.
     """
+    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed``.
+    before, scores = borrowed(before), borrowed(scores)
+    offsets = borrowed(segment.offsets)
     # Taken out once: each use of a tuple that holds arrays updates their reference counts.
-    offsets, first_y, last_y = segment.offsets, segment.first_y, segment.last_y
+    first_y, last_y = segment.first_y, segment.last_y
     arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
     columns, reach, cost = segment.columns, segment.reach, segment.cost
     n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
