@@ -81,30 +81,26 @@ def draw_roc(figure: Any, curves: Mapping[str, Roc], rate: float, ours: str) -> 
     """
     figure.set_size_inches(11, 5.5)
     axes = figure.subplots()
-    colours = _colours(len(curves))
-    lowest = 1.0
+    lowest = 100.0
     for number, (name, curve) in enumerate(curves.items()):
-        alarmed = curve.alarmed_batches[:, 0]
+        alarmed = 100 * curve.alarmed_batches[:, 0]
         lowest = min([lowest, *alarmed[alarmed > 0]])
         alone = name == ours
         axes.step(alarmed, 100 * curve.detection_probability[:, 0], where='post', label=name,
-                  color='black' if alone else colours[number], linewidth=2.4 if alone else 1.4,
-                  linestyle=('-', '--', '-.')[number % 3] if not alone else '-',
-                  zorder=3 if alone else 2)
+                  color='black' if alone else f'C{number % 10}', zorder=3 if alone else 2,
+                  linewidth=2.4 if alone else 1.4,
+                  linestyle='-' if alone else ('-', '--')[number // 10 % 2])
         if alone:
             axes.fill_between(alarmed, *(100 * curve.detection_probability[:, 1:].T), step='post',
                               color='black', alpha=0.12, linewidth=0)
-    axes.axvline(rate, color='#8c8c8c', linewidth=0.8, linestyle=':')
+    axes.axvline(100 * rate, color='#8c8c8c', linewidth=0.8, linestyle=':')
     axes.set_xscale('log')
-    axes.set_xlim(lowest, 1)
+    axes.xaxis.set_major_formatter('{x:g}')
+    axes.set_xlim(lowest, 100)
     axes.set_ylim(0, 100)
-    axes.set_xlabel('noise batches with a trajectory')
+    axes.set_xlabel('noise batches with a trajectory [%]')
     axes.set_ylabel('targets found [%]')
     axes.grid(alpha=0.25)
     axes.spines[['top', 'right']].set_visible(False)
     figure.legend(loc='outside right upper', frameon=False, fontsize='small')
 
-
-def _colours(count):
-    from matplotlib import colormaps
-    return colormaps['tab20'](np.linspace(0, 1, max(count, 2)))
