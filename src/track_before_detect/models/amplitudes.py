@@ -20,6 +20,11 @@ from track_before_detect.kernels.amplitude_codes import (
 __all__ = ['COMPLEX', 'CONSTANT', 'NON_NEGATIVE', 'SIGNED', 'SIGNED_CONSTANT', 'AmplitudeModel']
 
 
+# Paths whose value on the grid is below this share of the threshold's are not looked at closely,
+# however much they may gain: with a low threshold there would be no end of them.
+LEAST_SHARE = 0.8
+
+
 @dataclass(frozen=True)
 class AmplitudeModel:
     """One model of the amplitudes x of a path, with the statistic eta that goes with it.
@@ -75,6 +80,11 @@ class AmplitudeModel:
         """Cost of a change of either velocity component by one step, in units of a value."""
         return 0.5 if self.is_constant else 3.0
 
+    @property
+    def refinement_gain(self) -> float:
+        """What the value of a path on the grid may gain by moving off it, but for one in fifty."""
+        return 0.65 if self.is_constant else 8.0
+
     def course(self, norms: NDArray) -> NDArray[np.float64]:
         """Return n / |n|, in proportion to which the x_t of a constant amplitude are, (T,).
 
@@ -122,6 +132,11 @@ class AmplitudeModel:
         if not self.is_constant:
             return 1.0
         return math.sqrt(len(norms)) / max(float(np.linalg.norm(norms)), 1e-300)
+
+    def grid_level(self, threshold: float) -> float:
+        """Return the value from which on a path of the grid may pass the threshold off it."""
+        value = self.value(threshold)
+        return max(value - self.refinement_gain, LEAST_SHARE * value)
 
     def value(self, statistic: float) -> float:
         """Return the value, additive along a path, of a path without turns."""

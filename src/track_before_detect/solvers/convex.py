@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Callable
 
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.models.plane_view import PlaneView
+from track_before_detect.models.psf import Psf
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
 from track_before_detect.solvers.partial_refinement import PartialRefiner
 from track_before_detect.solvers.path_detector import PathDetector, Task
+from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.refinement import Refiner
 from track_before_detect.solvers.subspace_pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.warm_start import starting_paths
 
 # Motions of which every batch begins afresh.
 WITHOUT_START = ('range_doppler', 'range_bearing')
+
+# Distance of paths that one search adds, in widths of the PSF.
+SEPARATION = 3.0
+# Best paths of noise that are refined; with more the threshold at a rate of 5 % stays the same
+# within 0.1 % (measured on 400 batches).
+REFINED_IN_NOISE = 5
 
 
 class ConvexDetector(PathDetector):
@@ -21,9 +33,8 @@ class ConvexDetector(PathDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
         paths = task.paths
-        shared = (task.graph, task.psf, task.times, task.weights, self.model)
-        refiner = PartialRefiner(*shared, self.presence) if self.presence else Refiner(*shared)
-        result = pursue(task.search, refiner, paths, 3 * self.psf.width_px,
+        refiner = self._refiner(task.graph, task.psf, task.times, task.weights)
+        result = pursue(task.search, refiner, paths, self._separation,
                         PursuitSettings(self.options.continuation), self._start(task))
         threshold = self.statistic(self.model.value(paths.threshold), len(task.times))
         return BatchResult(self._collect(paths), threshold, result.status, result.history,
@@ -36,6 +47,37 @@ class ConvexDetector(PathDetector):
             return []
         return starting_paths(task.graph, task.times, task.search.grid_shape, self.earlier,
                               self.presence)
+
+    def largest_value(self, search: PathSearch, psf: Psf | PlaneView, times: NDArray,
+                      ) -> Callable[[NDArray], float]:
+        """Return a function that returns the largest value of any refined path in noise.
+
+        A target is decided on by its refined path. Only the best few of the grid are refined:
+        the best after them is among these.
+        """
+        refiner = self._refiner(search.graph, psf, times, np.zeros((0, 0, 0), np.float32))
+
+        def largest(frames):
+            _, found = search.best_paths(frames, -np.inf, self._separation, lambda _: True,
+                                         REFINED_IN_NOISE)
+            best = found[0].value
+            for path in found:
+                if path.value + self.model.refinement_gain < best:
+                    break
+                moved, cost = refiner.refine(frames, path.positions, path.cost,
+                                             self.model.from_value(best), 0.0)
+                best = max(best, refiner.value(frames, moved, cost))
+            return best
+
+        return largest
+
+    @property
+    def _separation(self):
+        return SEPARATION * self.psf.width_px
+
+    def _refiner(self, graph, psf, times, weights):
+        shared = (graph, psf, times, weights, self.model)
+        return PartialRefiner(*shared, self.presence) if self.presence else Refiner(*shared)
 
     def _collect(self, paths):
         found = []

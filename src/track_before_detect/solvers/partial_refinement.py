@@ -71,6 +71,10 @@ class PartialRefiner(Refiner):
                 break
         return best[1], best[2]
 
+    def value(self, frames: NDArray, positions: NDArray, cost: float) -> float:
+        """Return the value of a path: what it adds up over its frames less its cost."""
+        return float(self._gains(frames, positions).sum()) - cost
+
     def _refiner(self, first, last):
         """Return the refiner for paths in these frames alone."""
         if (first, last) not in self._refiners:

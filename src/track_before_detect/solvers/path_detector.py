@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 import logging
 
@@ -228,17 +229,20 @@ class PathDetector(BatchDetector):
 
         margin, psf = self._margin(graph, shape[1]), self._seen_psf(stamps)
         doppler = graph.coupling is not None
+        times = self._times(stamps)
 
         def searcher(crop):
             view = self._view.window(crop) if self._view else None
             searched = (crop[0], crop[1] + 2 * margin)
-            search = self._new_search(graph, view or psf, searched, 1)
+            seen_as = view or psf
+            search = self._new_search(graph, seen_as, searched, 1)
+            largest_value = self.largest_value(search, seen_as, times)
             pixels = view.frame_shape if view else crop
 
             def largest(generator):
                 noise = noise_frames(generator, (graph.n_frames, *pixels),
                                      self.model.is_complex)
-                return self.statistic(search.best_value(strip(noise, margin)), graph.n_frames)
+                return self.statistic(largest_value(strip(noise, margin)), graph.n_frames)
 
             return largest
 
@@ -247,8 +251,23 @@ class PathDetector(BatchDetector):
             return graph.effective_area((size[0], size[1] + 2 * margin * doppler), margin > 0)
 
         return NoiseStudy(
-            f'{graph.fingerprint()} {psf.key} {self.model} {self.presence} {margin > 0}',
-            area, searcher, doppler)
+            f'{type(self).__name__} {graph.fingerprint()} {psf.key} {self.model} '
+            f'{self.presence} {margin > 0}', area, searcher, doppler)
+
+    def largest_value(self, search: PathSearch, psf: Psf | PlaneView, times: NDArray,
+                      ) -> Callable[[NDArray], float]:
+        """Return a function that returns the largest value of any path in frames of noise.
+
+        Parameters
+        ----------
+        search : PathSearch
+            The paths.
+        psf : Psf or PlaneView
+            What a target looks like there.
+        times : array, shape (T,)
+            In the unit of time of the graph.
+        """
+        return search.best_value
 
     def _margin(self, graph, width):
         """Return the columns that frames are continued by beyond a seam, 0 without one."""

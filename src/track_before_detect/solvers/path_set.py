@@ -282,13 +282,15 @@ class PathSet:
         norms = self._norms[path]
         return self.amplitudes[path] / np.where(norms > 0, norms, np.inf)
 
-    def passes(self, positions: NDArray, cost: float) -> bool:
-        """Return whether any path passes its weight on the residual."""
+    def may_pass(self, positions: NDArray, cost: float) -> bool:
+        """Return whether any path may pass its weight on the residual once it is refined."""
         stamps, origins, norms = self._render(positions)
         seen = np.empty(len(self.frames), self.matched.dtype)
         stamp_kernels.correlate(stamps, origins, self.residual, seen)
-        return (self.model.statistic(seen, self._course(norms))
-                > self._weight(norms, cost))
+        model = self.model
+        excess = (model.value(model.statistic(seen, self._course(norms)))
+                  - model.value(self._weight(norms, cost)))
+        return excess > model.grid_level(self.threshold) - model.value(self.threshold)
 
     def refresh(self) -> None:
         """Compute the residual anew, which sheds the rounding of many small changes."""

@@ -85,6 +85,11 @@ class Refiner:
                 best = (gain, moved, moved_cost)
         return best[1], best[2]
 
+    def value(self, frames: NDArray, positions: NDArray, cost: float) -> float:
+        """Return the value of a path: what it adds up over the frames less its cost."""
+        squared = float(self.gains(frames, positions).sum())
+        return self._model.value(math.sqrt(squared)) - cost * self._dearness(frames, positions)
+
     def gains(self, frames: NDArray, positions: NDArray) -> NDArray[np.float64]:
         """Return what each frame adds to the squared statistic of a path, shape (T,)."""
         seen, norms = self._look(frames, positions)

@@ -193,6 +193,11 @@ class _Stage:
         """Alternate between improving the paths at hand and searching for new ones."""
         paths = self._paths
         bound = paths.model.value(paths.threshold * (1 + tolerance))
+        # The last word is with the refined paths, and their threshold: what is on the grid of a
+        # dim target may be below it.
+        level = bound
+        if self._last and not self._certified:
+            level = min(bound, paths.model.grid_level(paths.threshold))
         largest = 0.0
         for number in range(most_rounds):
             frozen = self._certified and number >= MOVING_ROUNDS
@@ -200,7 +205,7 @@ class _Stage:
             paths.refresh()
             separation = SIDE_BY_SIDE * self._separation if frozen else self._separation
             largest, found = self._search.best_paths(
-                paths.residual, bound, separation, self._is_new(separation), MOST_NEW_PATHS)
+                paths.residual, level, separation, self._is_new(separation), MOST_NEW_PATHS)
             violation = paths.model.from_value(largest) / paths.threshold - 1
             history.append(Step(self._t, paths.objective(self._t), len(paths), violation))
             if not found:
@@ -242,11 +247,14 @@ class _Stage:
     def _try_adding(self, found):
         """Add a path if it still passes its weight and F_t falls."""
         paths = self._paths
-        if not paths.passes(found.positions, found.cost):
+        if not paths.may_pass(found.positions, found.cost):
             return False
         paths.add(found.positions, found.cost)
         added = len(paths) - 1
         self._refine(added)
+        if paths.statistic(added) <= paths.weights[added]:
+            paths.remove(np.array([added]))
+            return False
         members = paths.neighbours(added)
         before = paths.objective_of(members, self._t)
         after, amplitudes, _ = paths.fitted(members, self._t, self._fit_gap)
