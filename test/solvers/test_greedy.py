@@ -105,11 +105,13 @@ def test_search_that_is_cut_short_says_so(monkeypatch):
     assert (result.status, len(result.found)) == ('iteration_limit', 1)
 
 
-def test_threshold_is_that_of_the_convex_detector():
+def test_threshold_is_that_of_paths_on_the_grid():
     options = {'max_speed_px_s': 0.0, 'false_alarm_rate': 0.5}
-    both = [DETECTOR_CLASSES[name](DetectorOptions(detector=name, **options))
-            .threshold(np.arange(2.0), (10, 12)) for name in ('convex', 'greedy')]
-    assert both[0] == both[1]
+    greedy, convex = (
+        DETECTOR_CLASSES[name](DetectorOptions(detector=name, **options))
+        .threshold(np.arange(2.0), (10, 12)) for name in ('greedy', 'convex'))
+    # Refined paths explain more of the noise.
+    assert 0.9 * convex < greedy < convex
 
 
 def test_detector_is_chosen_by_name():

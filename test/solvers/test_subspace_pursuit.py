@@ -217,3 +217,16 @@ def test_more_paths_than_are_held_are_reported_as_a_limit(monkeypatch):
     result, _ = solve(scene('far apart', 3), (1.0, 0.5, 0.0))
     assert result.status == 'iteration_limit'
     assert len(result.paths) == 1
+
+
+def test_path_that_passes_only_off_the_grid_is_found():
+    # A quarter of a pixel off on both axes, and slower than the grid by half a step.
+    truth = straight(8.25, 10.25, 0.55, 0.0)
+    paths = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
+    paths.add(truth, 0.0)
+    paths.assign(np.array([0]), np.full((1, T), 6.6 / T**0.5))
+    result, search = solve(-paths.residual, (1.0, 0.5, 0.0))
+    assert search.best_value(-paths.residual) < 6.5**2
+    assert len(result.paths) == 1
+    assert np.abs(result.paths.positions[0] - truth).max() < 0.05
+    assert result.paths.statistic(0) == pytest.approx(6.6, rel=1e-3)
