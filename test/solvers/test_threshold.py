@@ -1,5 +1,6 @@
 """The threshold asks for no more and no fewer false alarms than requested."""
 
+import dataclasses
 import logging
 
 import numpy as np
@@ -81,3 +82,27 @@ def test_progress_rises_to_one(study):
     seen = []
     threshold_for(study, (64, 64), 0.05, lambda label, done: seen.append(done))
     assert seen == sorted(seen) and seen[-1] == 1
+
+
+def test_where_a_search_takes_long_fewer_are_made_but_for_a_least_number(study):
+    def count(seconds):
+        return module._crop_count(dataclasses.replace(study, seconds=lambda crop: seconds),
+                                  (128, 128))
+
+    assert count(0.0) == count(0.05) == module.N_CROPS
+    assert 30 / 0.1 < count(0.1) < 60 / 0.1
+    assert count(10.0) == module.LEAST_CROPS
+
+
+@pytest.mark.parametrize('n_crops', [150, 400])
+def test_fewer_crops_leave_the_rate_within_a_half(n_crops):
+    # Maxima of many independent paths, whose squares have an exponential tail.
+    rng = np.random.default_rng(n_crops)
+    rate = 0.05
+    realised = []
+    for _ in range(60):
+        maxima = np.log(3e4) + rng.gumbel(size=n_crops)
+        value = module._tail_value(maxima, -np.log1p(-rate))
+        realised.append(-np.expm1(-3e4 * np.exp(-value)))
+    assert np.median(realised) == pytest.approx(rate, rel=0.2)
+    assert np.mean(np.abs(np.log(np.array(realised) / rate)) < np.log(1.5)) > 0.7

@@ -58,6 +58,12 @@ DOPPLER_TIME_DIGITS = 3
 MOST_TABLE_BYTES = 2 * 2**30
 MOST_COMPARISONS = 8e9
 WIDEST_DISC = 60
+# CPU time of a search of noise on one core, as measured: of the score of a place in a frame, the
+# noise included, of adding it to a state, and of the best of the turns to a state.
+SECONDS_PER_SCORE = 7.7e-9
+SECONDS_PER_MAPPED_SCORE = 8.3e-8
+SECONDS_PER_SUM = 8e-11
+SECONDS_PER_TURN = 2e-9
 
 _LOG = logging.getLogger(__name__)
 
@@ -250,9 +256,17 @@ class PathDetector(BatchDetector):
             # Doppler that is ambiguous is searched in every column of the strip.
             return graph.effective_area((size[0], size[1] + 2 * margin * doppler), margin > 0)
 
+        def seconds(crop):
+            places = float(np.prod(grid_shape(self.psf, (crop[0], crop[1] + 2 * margin))))
+            scores = graph.n_frames * (SECONDS_PER_MAPPED_SCORE if self._view
+                                       else SECONDS_PER_SCORE)
+            paths = graph.n_velocities * (graph.n_frames * SECONDS_PER_SUM
+                                          + (graph.n_segments - 1) * SECONDS_PER_TURN)
+            return places * (scores + (1.35 if self.presence else 1.0) * paths)
+
         return NoiseStudy(
             f'{type(self).__name__} {graph.fingerprint()} {psf.key} {self.model} '
-            f'{self.presence} {margin > 0}', area, searcher, doppler)
+            f'{self.presence} {margin > 0}', area, searcher, doppler, seconds)
 
     def largest_value(self, search: PathSearch, psf: Psf | PlaneView, times: NDArray,
                       ) -> Callable[[NDArray], float]:

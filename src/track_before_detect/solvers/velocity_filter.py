@@ -49,6 +49,8 @@ LEAST_SHARE = 0.1
 # A statistic on the grid is at most so much smaller than between the grid: 4 % on average from
 # rounding to whole pixels at a PSF of 1 px, more from the nearest velocity, and what noise adds.
 GRID_SHARE = 0.88
+# CPU time of a pixel of one frame and one velocity, as measured.
+SECONDS_PER_SUM = 2.7e-10
 # Candidates that are refined for one look at noise, and in one round of a detection.
 FEW_CANDIDATES = 8
 MOST_CANDIDATES = 2000
@@ -151,7 +153,8 @@ class VelocityFilterDetector(BatchDetector):
         return NoiseStudy(
             f'velocity_filter {grid.moves.tobytes().hex()[:32]} {len(stamps)} '
             f'{grid.n_velocities} {self.psf.key} {self._signed}',
-            lambda size: float(size[0] * size[1]), searcher)
+            lambda size: float(size[0] * size[1]), searcher,
+            seconds=lambda crop: SECONDS_PER_SUM * len(stamps) * grid.n_velocities * np.prod(crop))
 
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:
