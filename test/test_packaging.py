@@ -28,7 +28,7 @@ ALLOWED = {
     'options': {'errors', 'given_array'},
     'kernels': set(),
     'models': BASICS | {'kernels'},
-    'preprocess': BASICS | {'kernels'},
+    'preprocess': BASICS | {'kernels', 'models'},
     'solvers': BASICS | {'kernels', 'models'},
     'tracking': BASICS | {'kernels', 'models', 'preprocess', 'solvers'},
     'recordings': BASICS,

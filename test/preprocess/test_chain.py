@@ -125,6 +125,21 @@ def test_the_scene_seen_by_a_turning_camera_goes_and_the_matched_filter_has_unit
     assert np.nanmedian(prepared.noise_level) == pytest.approx(2.0, rel=0.12)
 
 
+def test_an_array_as_psf_counts_by_its_width():
+    rng = np.random.default_rng(6)
+    frames = ndimage.gaussian_filter(rng.normal(size=(6, 64, 64)), (0, 1, 1))
+    y, x = np.mgrid[-6:7, -6:7]
+    array = np.exp(-(x**2 + y**2) / (2 * 2.0**2))
+    told = {'psf': array, 'sigma': 2.0, 'other': 1.0}
+    levels = {}
+    for name, value in told.items():
+        options = DetectorOptions.from_mapping(
+            {'noise': 'robust', 'psf' if name == 'psf' else 'psf_sigma_px': value})
+        levels[name] = float(np.mean(prepare(batch_of(frames), options).noise_level))
+    assert levels['psf'] == pytest.approx(levels['sigma'], rel=0.02)
+    assert levels['psf'] > 1.2 * levels['other']
+
+
 def test_quantised_dark_frames_do_not_explode():
     frames = np.full((8, 32, 32), 12, np.uint8)
     frames[3, 10, 10] = 15

@@ -16,6 +16,7 @@ from scipy.special import ndtr
 from track_before_detect.errors import ParameterError
 from track_before_detect.kernels.profiles import fill_profiles, Optics, product_norm
 from track_before_detect.kernels.sight import Sight
+from track_before_detect.options import DetectorOptions
 
 LEAST_SIGMA_PX = 0.2
 # Samples of a Gaussian per standard deviation: a cubic spline through them is exact to 1e-7.
@@ -254,6 +255,13 @@ class ArrayPsf(Psf):
     def filter_rank(self) -> int:
         """Components that the matched filter needs."""
         return self._filter_rank
+
+
+def psf_of(options: DetectorOptions) -> Psf:
+    """Return the PSF that the options describe."""
+    if options.psf is not None:
+        return ArrayPsf(options.psf.array)
+    return GaussianPsf(options.psf_sigma_px, options.psf_model == 'integrated_gaussian')
 
 
 def _checked(array):

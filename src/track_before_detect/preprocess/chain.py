@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.models.psf import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.background import (
     remove_spatial_median,
@@ -120,13 +121,14 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
                 f'{name}={value} needs at least {_LEAST_FRAMES} frames, got {n_frames}')
 
     maps = _maps(frames, batch, options.registration)
+    width_px = psf_of(options).width_px
     # a complex pixel is two real ones with half the variance each
     is_complex = np.iscomplexobj(frames)
     parts = frames.view(np.float32) if is_complex else frames
     if options.background in ('temporal_median', 'temporal_spatial_median'):
         parts = remove_temporal_median(parts, maps)
     if options.background in ('spatial_median', 'temporal_spatial_median'):
-        parts = remove_spatial_median(parts, _mesh_px(options.psf_sigma_px))
+        parts = remove_spatial_median(parts, _mesh_px(width_px))
     told = np.ones((1, 1, 1))
     if options.variance is not None:
         told = given_level(options.variance, batch)
@@ -145,7 +147,7 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
     else:
         frames = frames / level.astype(np.float32)
         if not is_complex:
-            factor = correlation_factor(frames, options.psf_sigma_px)
+            factor = correlation_factor(frames, width_px)
             frames, level = frames / np.float32(factor), level * factor
     level = level * told
     if options.registration == 'translation':
@@ -212,9 +214,9 @@ def _checked_frames(raw, batch):
     return frames
 
 
-def _mesh_px(psf_sigma_px):
+def _mesh_px(width_px):
     """Return a cell side of which a target covers little."""
-    return max(_LEAST_MESH_PX, round(_MESH_SIGMAS * psf_sigma_px))
+    return max(_LEAST_MESH_PX, round(_MESH_SIGMAS * width_px))
 
 
 def _noise_level(parts, maps, method, floor):

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.models.psf import psf_of
 from track_before_detect.models.transition_sets import directional_sets, TransitionSets
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
@@ -27,7 +28,6 @@ from track_before_detect.solvers.batch_detector import (
     FoundTrajectory,
 )
 from track_before_detect.solvers.measurements import cores, measure, Merit
-from track_before_detect.solvers.path_detector import psf_of
 from track_before_detect.solvers.target_cancellation import (
     MOST_TARGETS,
     Search,

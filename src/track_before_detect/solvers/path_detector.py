@@ -14,7 +14,7 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
 from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.presence import frames_seen_in, presence_for
-from track_before_detect.models.psf import ArrayPsf, GaussianPsf, Psf
+from track_before_detect.models.psf import Psf, psf_of
 from track_before_detect.models.range_doppler import build_range_doppler_graph
 from track_before_detect.models.state_graph import (
     build_state_graph,
@@ -404,13 +404,6 @@ class PathDetector(BatchDetector):
         if self.presence is None:
             return PathSearch(graph, psf, shape, self.model, n_threads)
         return PartialSearch(graph, psf, shape, self.model, self.presence, n_threads)
-
-
-def psf_of(options: DetectorOptions) -> Psf:
-    """Return the PSF that the options describe."""
-    if options.psf is not None:
-        return ArrayPsf(options.psf.array)
-    return GaussianPsf(options.psf_sigma_px, options.psf_model == 'integrated_gaussian')
 
 
 def _check_exposure(options, view):

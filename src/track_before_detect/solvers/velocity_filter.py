@@ -23,6 +23,7 @@ from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.kernels.amplitude_codes import CONSTANT, SIGNED_CONSTANT
 from track_before_detect.kernels.climb import climb
 from track_before_detect.kernels.stamps import accumulate, render, statistic_and_slope
+from track_before_detect.models.psf import psf_of
 from track_before_detect.models.velocity_grid import velocity_grid, VelocityGrid
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
@@ -33,7 +34,6 @@ from track_before_detect.solvers.batch_detector import (
 )
 from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.measurements import measure
-from track_before_detect.solvers.path_detector import psf_of
 from track_before_detect.solvers.shift_and_stack import VelocityStack
 from track_before_detect.solvers.threshold import NoiseStudy
 from track_before_detect.types import Progress, Step

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.errors import DataError
+from track_before_detect.models.psf import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.chain import prepare, PreparedBatch
 from track_before_detect.solvers.batch_detector import BatchDetector, FoundTrajectory
@@ -53,7 +54,7 @@ class TrackingPipeline:
         self._options = options
         self._detector = DETECTOR_CLASSES[options.detector](options)
         self._stitcher: Stitcher = (
-            earlier._stitcher if earlier else Stitcher(options.psf_sigma_px))
+            earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []
         self._scale_is_known = options.noise != 'none'
 
