@@ -56,8 +56,11 @@ def test_target_is_found_from_its_snr_on(small, motion):
 @pytest.mark.parametrize('motion', suite.MOTIONS)
 def test_noise_raises_an_alarm_below_its_largest_statistic_and_none_above(small, motion):
     noise = suite._noise(np.random.default_rng(7))
-    step = suite._detector(motion, 8.0).detect(noise, suite._stamps()).history[0]
+    detector = suite._detector(motion, 8.0)
+    step = detector.detect(noise, suite._stamps()).history[0]
     largest = 8.0 * (1 + step.violation)
+    # Moving off the grid raises a path by no more than this.
+    most = (largest**2 + detector.model.refinement_gain)**0.5
     item = {'motion': motion, 'seed': 7}
     assert suite.false_alarm({**item, 'threshold': 0.98 * largest})['alarm']
-    assert not suite.false_alarm({**item, 'threshold': 1.02 * largest})['alarm']
+    assert not suite.false_alarm({**item, 'threshold': 1.02 * most})['alarm']
