@@ -62,9 +62,9 @@ class ConstantSearch(PathSearch):
         self._tables = [self._table, *(PathTable(graph, self.grid_shape, n_threads)
                                        for _ in self._signs[1:])]
 
-    def set_weights(self, weights: NDArray | None) -> None:
-        """Tell one over the noise of each pixel of a new batch; None when all are one."""
-        super().set_weights(weights)
+    def forget(self) -> None:
+        """Search the next frames without looking for what they share with the last."""
+        super().forget()
         for table in self._tables:
             table.forget()
 

@@ -24,7 +24,7 @@ WITHOUT_START = ('range_doppler', 'range_bearing')
 SEPARATION = 3.0
 # Best paths of noise that are refined; with more the threshold at a rate of 5 % stays the same
 # within 0.1 % (measured on 400 batches).
-REFINED_IN_NOISE = 5
+REFINED_IN_NOISE = 3
 
 
 class ConvexDetector(PathDetector):
@@ -58,6 +58,7 @@ class ConvexDetector(PathDetector):
         refiner = self._refiner(search.graph, psf, times, np.zeros((0, 0, 0), np.float32))
 
         def largest(frames):
+            search.forget()
             _, found = search.best_paths(frames, -np.inf, self._separation, lambda _: True,
                                          REFINED_IN_NOISE)
             best = found[0].value

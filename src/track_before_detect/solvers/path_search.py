@@ -97,6 +97,10 @@ class PathSearch:
             Zero where masked.
         """
         self._scores.set_weights(weights)
+        self.forget()
+
+    def forget(self) -> None:
+        """Search the next frames without looking for what they share with the last."""
         self._table.forget()
         self._seen = NOTHING
 
