@@ -73,15 +73,12 @@ def reasons(standings: Sequence[Standing]) -> str:
 def _reason(one):
     """Say what the other method is told or spared, and what the variants of ours show of it."""
     if one.ours == 'convex, partial':
-        bounds = {name: 100 * one.found[name] for name in (
-            'convex', 'convex, fluctuating', 'convex, partial')}
+        whole, free = (100 * one.found[name] for name in ('convex', one.ours))
         return (
-            'paths that may enter and leave can be searched with fluctuating amplitudes alone, '
-            f'while {one.rival} is told that they are constant. Without that knowledge and over '
-            f'whole batches the convex detector finds {bounds["convex, fluctuating"]:.1f} %, with '
-            f'it {bounds["convex"]:.1f} %, free to enter and leave {bounds["convex, partial"]:.1f}'
-            ' %. A search of constant amplitudes in part of the frames would change what the '
-            'first of these costs.')
+            f'free to enter and leave, paths compete with more noise than those of {one.rival}. '
+            f'Told that targets are there in all frames the convex detector finds {whole:.1f} %, '
+            f'told that they may enter and leave {free:.1f} %. A lower cost of entering and '
+            'leaving would find more of these, and fewer of those that stay.')
     if one.rival == 'velocity_filter':
         straight = one.found['convex, straight']
         left = straight - one.found[one.rival]

@@ -109,6 +109,12 @@ class AmplitudeModel:
             return max(alpha, 0.0) if self.code == CONSTANT else abs(alpha)
         return float(np.linalg.norm(np.maximum(seen, 0) if self.code == NON_NEGATIVE else seen))
 
+    def upright(self, seen: NDArray) -> NDArray:
+        """Return statistics h (T,) with the sign of the target taken off, magnitudes if free."""
+        if self.code in (NON_NEGATIVE, CONSTANT):
+            return seen
+        return seen * (np.sign(seen.sum()) or 1.0) if self.is_constant else np.abs(seen)
+
     def snr(self, seen: NDArray) -> float:
         """Return the mean statistic of one frame: of |h| where it is complex."""
         return float(np.mean(np.abs(seen) if self.is_complex else seen))

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import (
     AmplitudeModel,
     COMPLEX,
@@ -19,6 +18,8 @@ from track_before_detect.models.amplitudes import (
 CUT = 1.0
 # Cost of a frame for each model of the amplitudes.
 PER_FRAME = {NON_NEGATIVE: 1.4, SIGNED: 2.0, COMPLEX: 1.5}
+# Cost of entering or leaving where amplitudes are constant.
+CONSTANT_END = 0.3
 MOST_LOOKS = 5
 
 
@@ -30,6 +31,9 @@ class Presence:
     and end anywhere would never do so. With a cost for every frame it is in, noise no longer
     lengthens it. Costs raise the squared weight of a path, lambda_path^2 = lambda^2 + cost, which
     keeps the whole a group lasso with weights.
+
+    The statistic of a constant amplitude is a mean and does not grow with the frames. It has no
+    such cost, and those of entering and leaving are multiplied by its dearness, as turns are.
 
     Attributes
     ----------
@@ -52,6 +56,26 @@ class Presence:
     def best_interval(self, gains: NDArray) -> tuple[int, int]:
         """Return the first and last frame that gain most, for what each frame adds to a value."""
         return _best_run(np.asarray(gains, float) - self.per_frame, self.entry, self.leaving)
+
+    def best_constant_interval(self, products: NDArray, squares: NDArray) -> tuple[int, int]:
+        """Return the first and last frame with the largest statistic of a constant amplitude.
+
+        Parameters
+        ----------
+        products, squares : array, shape (T,)
+            n h and n^2 of each frame; a product of -inf where the target cannot be.
+        """
+        n_frames = len(products)
+        first, last = np.triu_indices(n_frames)
+        possible = np.isfinite(products)
+        summed, square, impossible = (
+            sums[last + 1] - sums[first] for sums in (
+                np.append(0.0, np.cumsum(values)) for values in (
+                    np.where(possible, products, 0.0), squares, ~possible)))
+        costs = self.entry * (first > 0) + self.leaving * (last < n_frames - 1)
+        values = (summed - np.sqrt(n_frames) * costs) / np.sqrt(np.maximum(square, 1e-30))
+        best = int(np.argmax(np.where((square > 0) & (impossible == 0), values, -np.inf)))
+        return int(first[best]), int(last[best])
 
     def whole_cost(self, n_frames: int) -> float:
         """Return the cost of being present in every frame of a batch."""
@@ -102,9 +126,11 @@ def presence_for(model: AmplitudeModel) -> Presence:
     signed h^2 and half its variance. A little less, with the costs of entering and leaving,
     raises the threshold of targets that are there all the time by no more than 0.05 while noise
     still lengthens few paths.
+
+    Where amplitudes are constant the ends alone cost something. Of 100 targets of SNR 1.5 in 12 of
+    20 frames of 96 x 96 pixels that enter, of as many that leave and of as many that stay, 39, 33
+    and 88 are found at 0.3, 40, 36 and 85 at half of that, and 30, 27 and 91 at twice that.
     """
     if model.is_constant:
-        raise ParameterError(
-            'presence partial cannot be searched with amplitude_model constant: take fluctuating, '
-            'or presence full')
+        return Presence(0.0, entry=CONSTANT_END, leaving=CONSTANT_END)
     return Presence(PER_FRAME[model.code], entry=6.0, leaving=6.0)

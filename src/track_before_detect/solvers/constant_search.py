@@ -3,24 +3,15 @@
 With equal norms n of all columns the statistic of a path is the sum of its h over sqrt(T), which
 the path search adds up as it is; amplitudes of either sign take one pass for each sign.
 
-Where variance or mask make the norms differ, the statistic (sum of n h) / |n| is not additive. For
-every mu > 0
-
-    sum n h - lam |n| >= sum n h - lam |n|^2 / (2 mu) - lam mu / 2,
-
-with equality at mu = |n|, so that a path passes lam if and only if some mu shows it, and for each
-mu the right-hand side is additive. Let m(tau) be the largest sum of n h - tau n^2 of any path. It
-is the maximum of straight lines in tau, hence convex, and lies below its chords between places
-where it is known: with tau = lam / (2 mu) that bounds what any mu might show, and the next place
-to look at is where the bound is largest. It ends when no bound is left above zero, mostly after
-two to six passes.
+Where variance or mask make the norms differ, the statistic (sum of n h) / |n| is not additive, and
+a few searches of sums that are take its place: see the module ``tilts``.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-import itertools
+from functools import partial
 import math
 
 import numpy as np
@@ -33,15 +24,7 @@ from track_before_detect.models.state_graph import StateGraph
 from track_before_detect.solvers.path_search import FoundPath, PathSearch
 from track_before_detect.solvers.path_table import PathTable
 from track_before_detect.solvers.position_scores import PositionScores
-
-# Share of lambda to which the largest statistic is known where norms differ: that of sums in
-# single precision.
-EXACT = 3e-6
-# Most passes over all paths for one sign; the bound that is left then is returned.
-MOST_TILTS = 60
-# Two tilts are this far apart at least, and a new one this share of an interval from its ends.
-LEAST_STEP = 1e-5
-INSIDE = 0.05
+from track_before_detect.solvers.tilts import best_new, paths_over_tilts
 
 
 class ConstantSearch(PathSearch):
@@ -91,7 +74,7 @@ class ConstantSearch(PathSearch):
                       for sign, table in zip(self._signs, self._tables, strict=True))
         found = [path for table in self._tables
                  for path in self._paths_of(table, above, radius, limit)]
-        return largest, _best_new(found, is_new, limit)
+        return largest, best_new(found, is_new, limit)
 
     def _uneven_paths(self, shares, frames, above, radius, is_new, limit):
         """Return what ``best_paths`` does where the norms of columns differ."""
@@ -102,22 +85,13 @@ class ConstantSearch(PathSearch):
         found: list[FoundPath] = []
         level = above
         for sign, table in zip(self._signs, self._tables, strict=True):
-            known: list[tuple[float, float]] = []
-            tilt = level / (2 * math.sqrt(most))
-            for _ in range(MOST_TILTS):
-                largest, paths = self._tilted(table, frames, squares, sign, tilt, above, radius,
-                                              limit)
-                known.append((tilt, largest))
-                found += [path for path in paths if path.value > above]
-                level = max([level, *(path.value for path in paths)])
-                excess, tilt = _next_tilt(sorted(known), level, most, least)
-                if excess <= EXACT:
-                    break
-            else:
-                level *= 1 + excess
-        return level, _best_new(found, is_new, limit)
+            level, paths = paths_over_tilts(
+                partial(self._tilted, table, frames, squares, sign, above, radius, limit),
+                level, most, least)
+            found += [path for path in paths if path.value > above]
+        return level, best_new(found, is_new, limit)
 
-    def _tilted(self, table, frames, squares, sign, tilt, above, radius, limit):
+    def _tilted(self, table, frames, squares, sign, above, radius, limit, tilt):
         """Return the largest sum of n h - tilt n^2, and the paths that surely are above a bound.
 
         The best path is among them wherever it is.
@@ -137,42 +111,3 @@ class ConstantSearch(PathSearch):
                        - root * path.cost)
             found.append(replace(path, value=product / math.sqrt(square) if square else 0.0))
         return root * largest, found
-
-
-def _best_new(found, is_new, limit):
-    """Return the paths of the largest values that are new."""
-    found.sort(key=lambda path: -path.value)
-    return [path for path in found[:limit] if is_new(path.positions)]
-
-
-def _next_tilt(known, level, most, least):
-    """Return by how much a path may still pass a level, as a share of it, and at which tilt.
-
-    Parameters
-    ----------
-    known : list of (float, float)
-        Tilts, ascending, and m at each.
-    level : float
-        lam.
-    most, least : float
-        Bounds of |n|^2 of any path: minus the steepest and the flattest slope of m.
-    """
-    if not level > 0:
-        return 0.0, 0.0
-    (first, at_first), (last, at_last) = known[0], known[-1]
-    lowest, highest = level / (2 * math.sqrt(most)), level / (2 * math.sqrt(least))
-    bounds = [(lowest, first, first, at_first, -most), (last, highest, last, at_last, -least)]
-    for (left, at_left), (right, at_right) in itertools.pairwise(known):
-        slope = (at_right - at_left) / (right - left)
-        bounds.append((left, right, left, at_left, min(slope, -least)))
-    best = (0.0, 0.0)
-    for left, right, anchor, value, slope in bounds:
-        left, right = max(left, lowest), min(right, highest)
-        if right - left <= LEAST_STEP * right:
-            continue
-        top = min(max(level / (2 * math.sqrt(-slope)), left), right)
-        excess = value + slope * (top - anchor) - level**2 / (4 * top)
-        margin = INSIDE * (right - left) if first <= left and right <= last else 0.0
-        best = max(best, (excess * 2 * top / level**2,
-                          min(max(top, left + margin), right - margin)))
-    return best

@@ -8,7 +8,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.amplitudes import AmplitudeModel, SIGNED_CONSTANT
 from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.presence import Presence
 from track_before_detect.models.psf import Psf
@@ -50,17 +50,21 @@ class PartialRefiner(Refiner):
         n_frames = len(frames)
         best = (self._lowers(frames, positions, cost, threshold, t_convex), positions, cost)
         present = np.flatnonzero(np.isfinite(positions[:, 0]))
-        interval = (int(present[0]), int(present[-1]))
+        interval: tuple[int, int] = (int(present[0]), int(present[-1]))
         turns = cost - self._presence.cost(*interval, n_frames)
         moved = positions
         for _ in range(MOST_ROUNDS):
             first, last = interval
             inside = slice(first, last + 1)
             price = self._presence.cost(first, last, n_frames)
+            dearness = self._model.dearness(self._seen(frames, moved)[1])
+            weight = self._model.weight(threshold, price * dearness)
+            stretch = self._stretch(first, last)
             part, turns = self._refiner(first, last).refine(
-                frames[inside], moved[inside], turns, math.sqrt(threshold**2 + price), t_convex)
+                frames[inside], moved[inside], turns * stretch, weight, t_convex)
+            turns /= stretch
             whole = self._carried_on(part, first, last)
-            interval = self._presence.best_interval(self._gains(frames, whole))
+            interval = self._best_interval(frames, whole, interval)
             moved = np.full_like(whole, np.nan)
             moved[interval[0]:interval[1] + 1] = whole[interval[0]:interval[1] + 1]
             moved_cost = turns + self._presence.cost(*interval, n_frames)
@@ -73,7 +77,27 @@ class PartialRefiner(Refiner):
 
     def value(self, frames: NDArray, positions: NDArray, cost: float) -> float:
         """Return the value of a path: what it adds up over its frames less its cost."""
-        return float(self._gains(frames, positions).sum()) - cost
+        seen, norms = self._seen(frames, positions)
+        statistic = self._model.statistic(seen, self._model.course(norms))
+        return self._model.value(statistic) - cost * self._model.dearness(norms)
+
+    def _best_interval(self, frames, positions, now):
+        """Return the first and last frame in which a path on ``positions`` gains most."""
+        seen, norms = self._seen(frames, positions)
+        if not self._model.is_constant:
+            course = self._model.course(norms)
+            return self._presence.best_interval(self._model.best(seen, course)**2)
+        products = norms * seen
+        if self._model.code == SIGNED_CONSTANT:
+            products = products * np.sign(products[now[0]:now[1] + 1].sum())
+        return self._presence.best_constant_interval(
+            np.where(norms > 0, products, -np.inf), norms**2)
+
+    def _stretch(self, first, last):
+        """Return by how much more a cost counts in these frames than in all of them."""
+        if not self._model.is_constant:
+            return 1.0
+        return math.sqrt(len(self._stamps) / (last - first + 1))
 
     def _refiner(self, first, last):
         """Return the refiner for paths in these frames alone."""
@@ -83,7 +107,8 @@ class PartialRefiner(Refiner):
             coupling = graph.coupling
             if coupling is not None:
                 coupling = dataclasses.replace(coupling, times=coupling.times[inside])
-            part = dataclasses.replace(graph, knots=knots, coupling=coupling)
+            part = dataclasses.replace(graph, knots=knots, coupling=coupling,
+                                       turn_cost=graph.turn_cost * self._stretch(first, last))
             # One row of weights may serve all frames.
             weights = self._weights[inside] if len(self._weights) > 1 else self._weights
             self._refiners[first, last] = Refiner(
@@ -104,14 +129,19 @@ class PartialRefiner(Refiner):
             whole[beyond] = whole[end] + (stamps[beyond] - stamps[end])[:, None] * velocity
         return whole
 
-    def _gains(self, frames, positions):
-        """Return what each frame adds to the value of a path, 0 where it is not in the frame."""
+    def _seen(self, frames, positions):
+        """Return h and n of each frame (T,), see AmplitudeModel; 0 where it is not in the frame.
+
+        All n are one where all pixels weigh the same.
+        """
         height, width = frames.shape[1:]
         inside = np.all((positions >= 0) & (positions <= (width - 1, height - 1)), axis=1)
-        there = np.where(inside[:, None], positions, 0.0)
-        return np.where(inside, self.gains(frames, there), 0.0)
+        seen, norms = self._look(frames, np.where(inside[:, None], positions, 0.0))
+        counted = norms if len(self._weights) else np.ones(len(norms))
+        return np.where(inside, seen[:, 0], 0.0), np.where(inside, counted, 0.0)
 
     def _lowers(self, frames, positions, cost, threshold, t_convex):
         """By how much the path lowers F_t, alone on these frames."""
-        squared = float(self._gains(frames, positions).sum())
-        return self.lowers(squared, cost, threshold, t_convex)
+        seen, norms = self._seen(frames, positions)
+        statistic = self._model.statistic(seen, self._model.course(norms))
+        return self.lowers(statistic**2, cost * self._model.dearness(norms), threshold, t_convex)

@@ -38,14 +38,16 @@ class PartialSearch(PathSearch):
         self._values = np.empty((0, 0, 0, 0), np.float32)
         self._met = np.empty((0, 0, 0), np.float32)
         self._ends = np.empty((0, 0, 0), np.float32)
+        self._searched_at = presence
 
     def run(self, scores: NDArray) -> NDArray:
         """Fill the table; return the best by segment of the end and its start, (J, Y, X)."""
         graph, presence = self.graph, self._presence
         n_y, n_x = self.grid_shape
         # Where nothing is found, the frames are searched twice.
-        if np.array_equal(scores, self._met):
+        if presence == self._searched_at and np.array_equal(scores, self._met):
             return self._ends.copy()
+        self._searched_at = presence
         if not len(self._values):
             self._values = np.empty((graph.n_segments, n_y, graph.n_velocities, n_x), np.float32)
         self._met = scores
@@ -67,20 +69,22 @@ class PartialSearch(PathSearch):
         """Return the largest value of any path, and separate paths with values above a bound."""
         ends = self.run(self.scores(frames))
         largest = float(ends.max())
-        found: list[FoundPath] = []
         radius = max(1, round(separation / self.graph.step_px))
+        return largest, [path for path in self._ended_paths(ends, above, radius, limit)
+                         if is_new(path.positions)]
+
+    def _ended_paths(self, ends, above, radius, limit):
+        """Yield the paths of the largest values above a bound, the largest first, and apart."""
         for _ in range(limit):
             j, y, x = (int(i) for i in np.unravel_index(int(np.argmax(ends)), ends.shape))
             if not ends[j, y, x] > above:
-                break
+                return
             path, starts = self._trace_back(j, y, x)
-            if is_new(path.positions):
-                found.append(path)
+            yield path
             # The same target ends in other segments, too, a little less well.
             for segment, (start_x, start_y) in starts.items():
                 ends[segment, max(0, start_y - radius):max(0, start_y + radius + 1),
                      max(0, start_x - radius):max(0, start_x + radius + 1)] = ABSENT
-        return largest, found
 
     def _trace_back(self, j, y, x):
         """Return the best path that ends in segment ``j``, and where it starts each segment."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.presence import frames_seen_in, presence_for
 from track_before_detect.models.psf import Psf, psf_of
@@ -29,6 +29,7 @@ from track_before_detect.solvers.batch_detector import (
     BatchResult,
     median_interval,
 )
+from track_before_detect.solvers.constant_partial_search import ConstantPartialSearch
 from track_before_detect.solvers.constant_search import ConstantSearch
 from track_before_detect.solvers.cores import usable_cores
 from track_before_detect.solvers.partial_search import PartialSearch
@@ -262,11 +263,18 @@ class PathDetector(BatchDetector):
                                        else SECONDS_PER_SCORE)
             paths = graph.n_velocities * (graph.n_frames * SECONDS_PER_SUM
                                           + (graph.n_segments - 1) * SECONDS_PER_TURN)
-            return places * (scores + (1.35 if self.presence else 1.0) * paths)
+            return places * (scores + paths * self._passes())
 
         return NoiseStudy(
             f'{type(self).__name__} {graph.fingerprint()} {psf.key} {self.model} '
             f'{self.presence} {margin > 0}', area, searcher, doppler, seconds)
+
+    def _passes(self):
+        """Return the CPU time of a search of noise over that of one pass over whole paths."""
+        if self.presence is None:
+            return 1.0
+        # Paths of constant amplitude that enter and leave take five or six passes.
+        return 1.35 * (5.5 if self.model.is_constant else 1.0)
 
     def largest_value(self, search: PathSearch, psf: Psf | PlaneView, times: NDArray,
                       ) -> Callable[[NDArray], float]:
@@ -353,7 +361,7 @@ class PathDetector(BatchDetector):
         present = np.isfinite(positions[:, 0])
         if self.presence is not None:
             [frames] = np.nonzero(present)
-            inside = seen[frames] if self.model.code == NON_NEGATIVE else np.abs(seen[frames])
+            inside = self.model.upright(seen[frames])
             first, last = frames_seen_in(inside)
             present[:frames[first]] = False
             present[frames[last] + 1:] = False
@@ -399,11 +407,12 @@ class PathDetector(BatchDetector):
         return self._search[1]
 
     def _new_search(self, graph, psf, shape, n_threads):
-        if self.model.is_constant:
-            return ConstantSearch(graph, psf, shape, self.model, n_threads)
+        constant = self.model.is_constant
         if self.presence is None:
-            return PathSearch(graph, psf, shape, self.model, n_threads)
-        return PartialSearch(graph, psf, shape, self.model, self.presence, n_threads)
+            full = ConstantSearch if constant else PathSearch
+            return full(graph, psf, shape, self.model, n_threads)
+        partial = ConstantPartialSearch if constant else PartialSearch
+        return partial(graph, psf, shape, self.model, self.presence, n_threads)
 
 
 def _check_exposure(options, view):

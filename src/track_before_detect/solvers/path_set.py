@@ -331,8 +331,11 @@ class PathSet:
                                  cost * self.model.dearness(self._counted(norms)))
 
     def _counted(self, norms):
-        """Return n of each frame, see AmplitudeModel: one where all pixels weigh the same."""
-        return norms if len(self._pixel_weights) else np.ones(len(norms))
+        """Return n of each frame, see AmplitudeModel: one where all pixels weigh the same.
+
+        Zero where a path is absent.
+        """
+        return norms if len(self._pixel_weights) else (norms > 0).astype(float)
 
     def _relate(self, path):
         """Fill the matched filter and the overlaps of one path."""
