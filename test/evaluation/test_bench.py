@@ -57,6 +57,7 @@ def test_search_alone_is_measured_frame_by_frame_and_in_segments():
     assert by_segment['n_segments'] < by_segment['n_frames']
     for case in searches:
         assert case['states_per_s'] >= case['computed_states_per_s'] > 0
+    assert bench_search.GRID_SHAPE == (1024, 1280)
     assert all('0.00 M positions' in row for row in bench_search.search_rows(searches))
 
 

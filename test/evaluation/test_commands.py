@@ -96,12 +96,15 @@ def test_bad_argument_is_one_sentence_exit_code_2_and_no_output(
 
 
 def test_bench_measures_and_writes_what_it_prints(tmp_path, monkeypatch, capsys):
-    tiny = bench.Case('tiny', 'noise', {'height': 32, 'width': 32, 'n_frames': 4})
+    # Of the size that other tests calibrate.
+    tiny = bench.Case('tiny', 'noise', {'height': 40, 'width': 44, 'n_frames': 6})
     monkeypatch.setattr(bench, 'convex_cases', lambda large: [tiny] * (2 if large else 1))
+    monkeypatch.setattr(bench.bench_search, 'GRID_SHAPE', (20, 50))
     output = tmp_path / 'b.json'
     assert run('bench', 'convex', '--repeats', 1, '--large', '--output', output) == 0
     measured = json.loads(output.read_text())
     assert measured['bench'] == 'convex' and len(measured['cases']) == 2
+    assert [case['n_positions'] for case in measured['searches']] == [1000, 1000]
     out = capsys.readouterr().out
     assert bench.bench_table(measured) in out and str(output) in out
 

@@ -123,7 +123,7 @@ def test_dim_suite_counts_what_passes_either_threshold(no_calibration, monkeypat
 def test_alarms_of_a_higher_threshold_are_among_those_of_a_lower_one():
     counts = np.zeros(3)
     for seed in range(6):
-        item = {'side_px': 32, 'thresholds': [20.0, 6.0, 5.0], 'seed': seed}
+        item = {'side_px': 32, 'thresholds': [20.0, 7.0, 6.0], 'seed': seed}
         alarms = limit_runs.noise_alarms(item)['alarms']
         assert alarms == sorted(alarms)
         counts += alarms

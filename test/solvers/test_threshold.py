@@ -33,9 +33,20 @@ def study():
     return NoiseStudy('paths', GRAPH.effective_area, searcher)
 
 
+@pytest.fixture(scope='module')
+def shared_cache(tmp_path_factory):
+    return tmp_path_factory.mktemp('calibrations')
+
+
 @pytest.fixture(autouse=True)
+def cache(shared_cache, monkeypatch):
+    monkeypatch.setenv('XDG_CACHE_HOME', str(shared_cache))
+
+
+@pytest.fixture
 def own_cache(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    monkeypatch.setattr(module, 'MOST_CROPS', 200)
     return tmp_path
 
 
@@ -55,7 +66,7 @@ def test_threshold_falls_with_the_rate_and_rises_with_the_area(study):
     assert (np.diff(values) > 0).all()
 
 
-def test_second_calibration_comes_from_the_cache(study, monkeypatch):
+def test_second_calibration_comes_from_the_cache(study, own_cache, monkeypatch):
     first = threshold_for(study, (64, 64), 0.05)
     monkeypatch.setattr(module, '_simulate', None)
     assert threshold_for(study, (64, 64), 0.05) == first
@@ -69,16 +80,16 @@ def test_spoilt_cache_is_made_anew(study, own_cache, content):
     assert threshold_for(study, (64, 64), 0.05) == first
 
 
-def test_cache_that_cannot_be_written_is_said_and_lived_with(study, tmp_path, monkeypatch,
+def test_cache_that_cannot_be_written_is_said_and_lived_with(study, own_cache, monkeypatch,
                                                             caplog):
-    (tmp_path / 'file').write_text('')
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path / 'file'))
+    (own_cache / 'file').write_text('')
+    monkeypatch.setenv('XDG_CACHE_HOME', str(own_cache / 'file'))
     with caplog.at_level(logging.WARNING):
         assert threshold_for(study, (64, 64), 0.05) > 0
     assert 'could not be kept' in caplog.text
 
 
-def test_progress_rises_to_one(study):
+def test_progress_rises_to_one(study, own_cache):
     seen = []
     threshold_for(study, (64, 64), 0.05, lambda label, done: seen.append(done))
     assert seen == sorted(seen) and seen[-1] == 1
@@ -92,6 +103,19 @@ def test_where_a_search_takes_long_fewer_are_made_but_for_a_least_number(study):
     assert count(0.0) == count(0.05) == module.N_CROPS
     assert 30 / 0.1 < count(0.1) < 60 / 0.1
     assert count(10.0) == module.LEAST_CROPS
+
+
+def test_crops_get_smaller_only_where_too_few_would_fit_and_maxima_can_be_scaled(study):
+    def crop(seconds_of_128, least_px, shape=(200, 300), **more):
+        slow = dataclasses.replace(
+            study, seconds=lambda crop: seconds_of_128 * crop[0] * crop[1] / 128**2,
+            least_crop_px=least_px, **more)
+        return module._crop(slow, shape)
+
+    assert crop(0.37, 32) == crop(10.0, module.CROP_PX) == (128, 128)
+    assert crop(0.5, 32) == (96, 96)
+    assert crop(10.0, 64) == (64, 64) and crop(10.0, 64, (40, 300)) == (40, 64)
+    assert crop(0.8, 32, whole_width=True) == (32, 300)
 
 
 @pytest.mark.parametrize('n_crops', [150, 400])

@@ -132,6 +132,22 @@ def test_velocities_are_those_of_a_disc_one_pixel_per_batch_apart():
     assert detector(motion_model='static').grid(STAMPS, (48, 56)).n_velocities == 1
 
 
+def test_effective_area_is_the_mean_spread_of_the_times_inside():
+    grid = detector().grid(STAMPS[:6], (9, 12))
+    spreads = []
+    for number in naive.velocity_numbers(grid):
+        velocity = grid.velocity(number[0] * len(grid.axis) + number[1])
+        for y, x in np.ndindex(9, 12):
+            at = np.array([x, y]) + grid.times[:, None] * velocity
+            inside = ((at >= -0.5) & (at <= [11.5, 8.5])).all(axis=1)
+            spreads.append(np.var(grid.times[inside]) / np.var(grid.times))
+    assert grid.effective_area((9, 12)) == pytest.approx(9 * 12 * np.mean(spreads), rel=1e-9)
+    # Beside large frames the border is of no matter, nor is it for what stands still.
+    assert grid.effective_area((3000, 2000)) == pytest.approx(6e6, rel=0.01)
+    still = detector(motion_model='static').grid(STAMPS, (9, 12))
+    assert still.effective_area((9, 12)) == 9 * 12
+
+
 def test_a_search_too_large_is_cut_with_a_warning(caplog):
     made = detector(max_speed_px_s=50.0)
     grid = made.grid(np.arange(30.0), (512, 512))

@@ -95,7 +95,8 @@ def bench_convex(repeats: int, cases: Sequence[Case], progress: Progress,
     searched = []
     for number, (name, n_frames) in enumerate(searches):
         progress('measuring', (len(cases) + number) / n_all)
-        searched.append(_in_own_process(bench_search.measure_search, name, n_frames, repeats))
+        searched.append(_in_own_process(
+            bench_search.measure_search, name, n_frames, repeats, bench_search.GRID_SHAPE))
     progress('measuring', 1.0)
     return {'bench': 'convex', 'seed': SEED, 'repeats': repeats, 'machine': describe_machine(),
             'cases': measured, 'searches': searched}

@@ -75,7 +75,7 @@ def search_cases() -> list[tuple[str, int]]:
 
 
 def measure_search(name: str, n_frames: int, repeats: int,
-                   grid_shape: tuple[int, int] = GRID_SHAPE) -> dict[str, Any]:
+                   grid_shape: tuple[int, int]) -> dict[str, Any]:
     """Measure one search of random scores in this process."""
     stamps = np.arange(float(n_frames))
     if n_frames == N_FRAMES:

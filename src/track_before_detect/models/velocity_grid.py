@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 # Displacement over the whole batch between neighbouring velocities, in pixels. A target between
 # two velocities drifts off the nearer one by at most half of this over the batch.
 PIXELS_PER_BATCH = 1.0
+# Velocities and positions along each axis that an effective area is summed over at most.
+MOST_VELOCITIES = 13
+MOST_POSITIONS = 64
 # Frames whose sums are tried as shared ones.
 GROUPS = (1, 2, 3, 4, 5, 6, 8)
 
@@ -84,6 +87,37 @@ class VelocityGrid:
         """Return (v_x, v_y) of a velocity by its number in the compiled loop."""
         i, j = divmod(number, len(self.axis))
         return np.array([self.axis[j], self.axis[i]])
+
+    def effective_area(self, shape: tuple[int, int]) -> float:
+        """Return to how many pixels (H, W) comes, seen by a target that never leaves.
+
+        In noise the statistic of a line is a smooth random field over position and velocity. Its
+        maxima above a level are in proportion to the root of the determinant of the covariance
+        of its slope (Rice's formula), which is the variance of the times at which the line is
+        inside, once for each axis.
+        """
+        spread = float(np.var(self.times))
+        if spread == 0 or len(self.axis) == 1:
+            return float(shape[0] * shape[1])
+        number = np.unique(np.linspace(0, len(self.axis) - 1, MOST_VELOCITIES).round().astype(int))
+        inside = [self._inside(length, number) for length in shape]
+        total, count = 0.0, 0
+        for rows, i in zip(inside[0], number, strict=True):
+            for columns, j in zip(inside[1], number, strict=True):
+                if not self.first_vx[i] <= j < self.last_vx[i]:
+                    continue
+                n, mean, square = (np.maximum((rows * self.times**power) @ columns.T, least)
+                                   for power, least in ((0, 1.0), (1, -np.inf), (2, 0.0)))
+                total += float(np.mean(square / n - (mean / n)**2))
+                count += 1
+        return shape[0] * shape[1] * total / (count * spread)
+
+    def _inside(self, length, number):
+        """Return where on an axis and when lines are inside, by velocity, (V, N, T)."""
+        n_positions = min(length, MOST_POSITIONS)
+        middle = (np.arange(n_positions) + 0.5) * length / n_positions - 0.5
+        at = middle[:, None] + self.axis[number][:, None, None] * self.times
+        return ((at >= -0.5) & (at <= length - 0.5)).astype(float)
 
 
 def velocity_grid(stamps: NDArray, max_speed: float, steps_per_px: int = 1, *,

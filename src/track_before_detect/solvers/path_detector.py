@@ -37,6 +37,7 @@ from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.solvers.path_set import PathSet
 from track_before_detect.solvers.path_table import table_bytes
 from track_before_detect.solvers.position_scores import grid_shape
+from track_before_detect.solvers.search_cost import search_seconds
 from track_before_detect.solvers.sheared_plane import ShearedPlane
 from track_before_detect.solvers.threshold import noise_frames, NoiseStudy, threshold_for
 from track_before_detect.solvers.wrap_around import (
@@ -59,12 +60,6 @@ DOPPLER_TIME_DIGITS = 3
 MOST_TABLE_BYTES = 2 * 2**30
 MOST_COMPARISONS = 8e9
 WIDEST_DISC = 60
-# CPU time of a search of noise on one core, as measured: of the score of a place in a frame, the
-# noise included, of adding it to a state, and of the best of the turns to a state.
-SECONDS_PER_SCORE = 7.7e-9
-SECONDS_PER_MAPPED_SCORE = 8.3e-8
-SECONDS_PER_SUM = 8e-11
-SECONDS_PER_TURN = 2e-9
 
 _LOG = logging.getLogger(__name__)
 
@@ -112,6 +107,8 @@ class PathDetector(BatchDetector):
     takes_any_psf = True
     weighs_pixels = True
     knows_streaks = True
+    # Best paths of noise whose positions are refined.
+    refined_in_noise = 0
 
     def __init__(self, options: DetectorOptions, view: PlaneView | None = None):
         super().__init__(options)
@@ -258,23 +255,13 @@ class PathDetector(BatchDetector):
             return graph.effective_area((size[0], size[1] + 2 * margin * doppler), margin > 0)
 
         def seconds(crop):
-            places = float(np.prod(grid_shape(self.psf, (crop[0], crop[1] + 2 * margin))))
-            scores = graph.n_frames * (SECONDS_PER_MAPPED_SCORE if self._view
-                                       else SECONDS_PER_SCORE)
-            paths = graph.n_velocities * (graph.n_frames * SECONDS_PER_SUM
-                                          + (graph.n_segments - 1) * SECONDS_PER_TURN)
-            return places * (scores + paths * self._passes())
+            grid = grid_shape(self.psf, (crop[0], crop[1] + 2 * margin))
+            return search_seconds(graph, psf, grid, self.model, self.presence is not None,
+                                  self.refined_in_noise)
 
         return NoiseStudy(
             f'{type(self).__name__} {graph.fingerprint()} {psf.key} {self.model} '
             f'{self.presence} {margin > 0}', area, searcher, doppler, seconds)
-
-    def _passes(self):
-        """Return the CPU time of a search of noise over that of one pass over whole paths."""
-        if self.presence is None:
-            return 1.0
-        # Paths of constant amplitude that enter and leave take five or six passes.
-        return 1.35 * (5.5 if self.model.is_constant else 1.0)
 
     def largest_value(self, search: PathSearch, psf: Psf | PlaneView, times: NDArray,
                       ) -> Callable[[NDArray], float]:

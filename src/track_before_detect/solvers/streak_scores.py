@@ -39,7 +39,7 @@ class StreakScores(PositionScores):
         super().__init__(psf.base, shape, model, over_rows)
         self._whole = self._shares_of(np.ones((1, *shape), np.float32))
         n_sub = psf.oversampling
-        self._places = [_places(streak * n_sub) for streak in streaks]
+        self._places = [places_along(streak * n_sub) for streak in streaks]
         self._factors = [self._factors_of(places, n_sub) for places in self._places]
 
     def scores(self, frames: NDArray, factor: float | None = None, tilt: float = 0.0) -> NDArray:
@@ -93,7 +93,7 @@ class StreakScores(PositionScores):
         return factors
 
 
-def _places(streak):
+def places_along(streak):
     """Return the grid positions (M, 2) along a streak in grid steps, around its middle."""
     n_places = max(1, int(np.ceil(np.hypot(*streak))))
     at = (np.arange(n_places) + 0.5) / n_places - 0.5

@@ -27,10 +27,13 @@ _LOG = logging.getLogger(__name__)
 # Crops are as large as the frame up to this side: maxima of small crops cannot be scaled to large
 # frames exactly, since paths near a border have fewer ways to go.
 CROP_PX = 128
+# Steps in which crops get smaller where the least number of them would take too long.
+SMALLER_PX = 16
 # Area searched for a calibration, in crops of full size; smaller ones are searched more of.
 N_CROPS = 800
 MOST_CROPS = 4000
-# CPU time that a calibration should take at most, but for the crops it needs at least. With 150
+# CPU time that a calibration should take at most by its formula, but for the crops it needs at
+# least: half a minute on two cores, where loops get in each other's way. With 150
 # instead of 800 crops the realised rate is uncertain by 26 % instead of 12 % where 0.05 is asked
 # for at 128 x 128 pixels (one standard deviation, by drawing from the maxima of 800).
 MOST_SECONDS = 56.0
@@ -63,6 +66,8 @@ class NoiseStudy:
     seconds : callable
         Told (H, W), returns the CPU time of one such search on a common machine, roughly: where
         it is long, fewer are made. A formula, so that equal calibrations stay equal.
+    least_crop_px : int
+        Smallest side of crops whose maxima can be scaled to larger frames.
     """
 
     key: str
@@ -70,6 +75,7 @@ class NoiseStudy:
     searcher: Callable[[tuple[int, int]], Callable[[np.random.Generator], float]]
     whole_width: bool = False
     seconds: Callable[[tuple[int, int]], float] = lambda shape: 0.0
+    least_crop_px: int = CROP_PX
 
 
 def noise_frames(generator: np.random.Generator, shape: tuple[int, ...],
@@ -97,8 +103,7 @@ def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,
     progress : callable, optional
         Called with a label and the share done, 0 to 1.
     """
-    width = shape[1] if study.whole_width else min(shape[1], CROP_PX)
-    crop = (min(shape[0], CROP_PX), width)
+    crop = _crop(study, shape)
     # The square of a statistic has the tail nearest to an exponential.
     maxima = _noise_maxima(study, crop, progress)**2
     areas = study.area(shape) / study.area(crop)
@@ -156,6 +161,16 @@ def _simulate(study, crop, progress):
         return value
 
     return np.array(map_in_threads(largest, seeds))
+
+
+def _crop(study, shape):
+    """Return (H, W) of the crops of noise that are searched for frames of a shape."""
+    for side in range(CROP_PX, study.least_crop_px - 1, -SMALLER_PX):
+        width = shape[1] if study.whole_width else min(shape[1], side)
+        crop = (min(shape[0], side), width)
+        if LEAST_CROPS * study.seconds(crop) <= MOST_SECONDS:
+            break
+    return crop
 
 
 def _crop_count(study, crop):
