@@ -39,6 +39,9 @@ MOST_PASSES = 5
 WORTHWHILE = 0.5
 # A change has to lower F_t by more than the rounding of the sums and of the amplitudes.
 LEAST_GAIN = 1e-3
+# Merging two paths into one has to lower F_0 by more. The price of a path allows for all places
+# where noise may look like a target, but one path beside another has but a few to be at.
+MERGING_GAIN = 2.5
 # Rounds in which a convex solution that is the result may move its paths off the grid. After them
 # its columns are fixed, the paths of the grid and those it holds, and adding those that violate
 # their bound has an end.
@@ -382,7 +385,7 @@ class _Stage:
         paths.assign(others, amplitudes)
         self._refine(other)
         after, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
-        if after < before - LEAST_GAIN:
+        if after < before - LEAST_GAIN - MERGING_GAIN * (1 - self._t)**2:
             paths.assign(others, amplitudes)
             paths.remove(np.array([path]))
             return True
