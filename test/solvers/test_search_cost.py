@@ -40,6 +40,8 @@ def two_sensors(shape):
                  id='streaks, large'),
     pytest.param((48, 48), two_sensors, id='sensors'),
     pytest.param((128, 128), two_sensors, id='sensors, large'),
+    pytest.param((128, 128), lambda shape: study_of(20, shape, 'cso_dpr', max_speed_px_s=3.0),
+                 id='second order'),
     pytest.param((128, 128), lambda shape: study_of(20, shape, 'velocity_filter'),
                  id='velocity filter'),
     pytest.param((128, 128), lambda shape: study_of(50, shape, 'velocity_filter'),

@@ -16,7 +16,10 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.models.psf import GaussianPsf
-from track_before_detect.models.velocity_candidates import FASTEST_SECOND_ORDER
+from track_before_detect.models.velocity_candidates import (
+    FASTEST_SECOND_ORDER,
+    straight_lines,
+)
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
@@ -43,6 +46,11 @@ LEAST_NORM_SQUARED = 1e-3
 # hundredth of the peak is left there: at an SNR of 30 it makes a second trajectory, while a wider
 # square would take more of a dim target's neighbour.
 FILLED_SIGMAS = 3
+# CPU time of a look at noise, as measured: of a pixel of one frame, and of each line that a method
+# of second order tries there; the ring forms take more.
+SECONDS_PER_PIXEL = 3.5e-8
+SECONDS_PER_LINE = 9e-10
+RING_PASSES = 1.7
 
 
 class MeritDetector(BatchDetector):
@@ -82,6 +90,10 @@ class MeritDetector(BatchDetector):
         found to have at most about twice as many, so their number is taken to grow as its root.
         """
         n_frames, v_max = len(stamps), self._v_max(stamps, shape)
+        # Velocities of the first order are searched axis by axis, in no time.
+        n_lines = 0 if self._method.order == 'cfo' else len(straight_lines(v_max))
+        seconds_per_pixel = (SECONDS_PER_PIXEL + SECONDS_PER_LINE * n_lines
+                             * (RING_PASSES if self._method.ring else 1.0))
 
         def searcher(crop):
             def largest(generator):
@@ -93,7 +105,8 @@ class MeritDetector(BatchDetector):
             return largest
 
         return NoiseStudy(f'{self._method.name} {v_max} {n_frames} {self._psf.key}',
-                          lambda size: math.sqrt(size[0] * size[1]), searcher)
+                          lambda size: math.sqrt(size[0] * size[1]), searcher,
+                          seconds=lambda crop: seconds_per_pixel * n_frames * crop[0] * crop[1])
 
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:

@@ -36,8 +36,8 @@ CONSTANT_PARTIAL_PASSES = 7.4
 # Of refining a path: of the families of motions, and for each frame; of that, of each component
 # and moment of the exposure, and of each of their pixels.
 SECONDS_PER_PATH = 3e-4
-SECONDS_PER_FRAME = 7e-5
-SECONDS_PER_STAMP = 2e-5
+SECONDS_PER_FRAME = 4e-5
+SECONDS_PER_STAMP = 5e-5
 SECONDS_PER_STAMP_PIXEL = 2.7e-7
 
 
