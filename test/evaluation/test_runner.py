@@ -8,6 +8,7 @@ from track_before_detect.evaluation import kept_results
 from track_before_detect.evaluation.kept_results import KeptResults
 from track_before_detect.evaluation.runner import Runner, Workers
 from track_before_detect.evaluation.runs import seeds_of
+from track_before_detect.solvers.cores import usable_cores
 
 ITEMS = [{'seed': seed, 'scale': 0.5} for seed in (3, 1, 4, 1, 5)]
 HALVES = [{'value': 0.5 * item['seed']} for item in ITEMS]
@@ -45,6 +46,19 @@ def test_workers_decide_nothing(tmp_path):
     for jobs in (1, 3):
         runner = Runner(quiet, Workers(jobs, 'threading'))
         assert runner.map(scaled, ITEMS, 'scaling') == HALVES
+
+
+def cores_of(item):
+    return {'cores': usable_cores()}
+
+
+def test_runs_side_by_side_share_the_cores():
+    pytest.importorskip('joblib')
+    [alone] = Runner(quiet).map(cores_of, ITEMS[:1], 'counting')
+    assert alone['cores'] == usable_cores()
+    for jobs in (2, 1000):
+        for one in Runner(quiet, Workers(jobs, 'threading')).map(cores_of, ITEMS, 'counting'):
+            assert one['cores'] == max(1, usable_cores() // jobs)
 
 
 def test_interrupted_study_goes_on_where_it_stopped(tmp_path):

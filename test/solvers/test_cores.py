@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from track_before_detect.solvers.cores import map_in_threads
+from track_before_detect.solvers.cores import at_most_cores, map_in_threads, usable_cores
 
 
 def test_results_come_in_the_order_of_the_items():
@@ -16,6 +16,18 @@ def test_results_come_in_the_order_of_the_items():
 
     assert map_in_threads(slow_at_first, range(5)) == [0, 1, 4, 9, 16]
     assert map_in_threads(slow_at_first, []) == []
+
+
+def test_a_limit_holds_while_it_is_asked_for_and_in_its_own_thread():
+    everything, seen = usable_cores(), []
+    with at_most_cores(1):
+        with at_most_cores(10**6):
+            assert usable_cores() == everything
+        assert usable_cores() == 1
+        other = threading.Thread(target=lambda: seen.append(usable_cores()))
+        other.start()
+        other.join()
+    assert usable_cores() == everything and seen == [everything]
 
 
 def test_an_error_reaches_the_caller_and_ends_the_work():

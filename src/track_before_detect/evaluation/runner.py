@@ -15,7 +15,7 @@ from typing import Any
 
 from track_before_detect.errors import MissingExtraError, ParameterError
 from track_before_detect.evaluation.kept_results import KeptResults
-from track_before_detect.solvers.cores import usable_cores
+from track_before_detect.solvers.cores import at_most_cores, usable_cores
 from track_before_detect.types import Progress
 
 Item = Mapping[str, Any]
@@ -65,8 +65,10 @@ class Workers:
             yield from map(call, arguments)
             return
         jobs = self.jobs or usable_cores()
+        # Threads of runs that go on side by side would only wait for each other.
+        cores = 1 if self.backend in CLUSTERS else max(1, usable_cores() // jobs)
         with _cluster(joblib, self.backend, self.scheduler, jobs) as n_jobs:
-            calls = [joblib.delayed(call)(argument) for argument in arguments]
+            calls = [joblib.delayed(_on_cores)(cores, call, argument) for argument in arguments]
             try:
                 parallel = joblib.Parallel(n_jobs, return_as='generator_unordered')
             except ValueError:
@@ -132,6 +134,11 @@ class Runner:
                 self.progress(label, done / len(items))
         self.progress(label, 1.0)
         return [known[key] for key in keys]
+
+
+def _on_cores(cores, call, argument):
+    with at_most_cores(cores):
+        return call(argument)
 
 
 def as_text(item: Item) -> str:

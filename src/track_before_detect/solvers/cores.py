@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 import os
 import queue
 import threading
@@ -11,12 +12,30 @@ from typing import Any, TypeVar
 _Item = TypeVar('_Item')
 _Result = TypeVar('_Result')
 
+_limit = threading.local()
+
 
 def usable_cores() -> int:
-    """Return the number of cores this process may use."""
+    """Return the number of cores this thread may share its work out over."""
     if hasattr(os, 'sched_getaffinity'):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        cores = len(os.sched_getaffinity(0))
+    else:
+        cores = os.cpu_count() or 1
+    return min(cores, getattr(_limit, 'most', cores))
+
+
+@contextmanager
+def at_most_cores(most: int) -> Iterator[None]:
+    """Let what this thread begins meanwhile use no more cores."""
+    before = getattr(_limit, 'most', None)
+    _limit.most = most
+    try:
+        yield
+    finally:
+        if before is None:
+            del _limit.most
+        else:
+            _limit.most = before
 
 
 def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
