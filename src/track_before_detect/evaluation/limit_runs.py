@@ -73,7 +73,7 @@ def isolated_target(item: Item) -> dict[str, Any]:
     Parameters
     ----------
     item : mapping
-        ``snr``, ``threshold`` and ``seed``.
+        ``snr``, ``sigma_px`` of the target, ``threshold`` and ``seed``.
 
     Returns
     -------
@@ -85,7 +85,7 @@ def isolated_target(item: Item) -> dict[str, Any]:
     """
     rng = np.random.default_rng(item['seed'])
     truth = _path(rng, 'line') + 0.5 * (ACCURACY_PX - 1) + rng.uniform(-3, 3, 2)
-    frames = _frames(rng, ACCURACY_PX, truth, item['snr'])
+    frames = _frames(rng, ACCURACY_PX, truth, item['snr'], item['sigma_px'])
     result = detector('fluctuating', item['threshold']).detect(frames,
                                                                np.arange(float(N_FRAMES)))
     if not result.found:
@@ -146,10 +146,10 @@ def _path(rng, motion) -> NDArray[np.float64]:
     return path - path.mean(axis=0)
 
 
-def _frames(rng, side, truth, snr):
+def _frames(rng, side, truth, snr, sigma=SIGMA_PX):
     frames = _noise(rng, side)
     for frame, (x, y) in zip(frames, truth, strict=True):
-        add_target(frame, x, y, SIGMA_PX, snr)
+        add_target(frame, x, y, sigma, snr)
     return frames
 
 

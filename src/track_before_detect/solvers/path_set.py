@@ -235,13 +235,15 @@ class PathSet:
         return total
 
     @contextmanager
-    def without(self, path: int) -> Iterator[NDArray]:
-        """Lend the frames less the fit of all other paths."""
-        self._take(path, -1.0)
+    def without(self, *paths: int) -> Iterator[NDArray]:
+        """Lend the frames less the fit of all paths but these."""
+        for path in paths:
+            self._take(path, -1.0)
         try:
             yield self.residual
         finally:
-            self._take(path, 1.0)
+            for path in paths:
+                self._take(path, 1.0)
 
     def similarity(self, path: int) -> NDArray:
         """Return the mean overlap with every path while a path is present, shape (P,)."""
@@ -270,9 +272,12 @@ class PathSet:
             return value - (float(self.weights[path]) - self.threshold)
         return value - self.costs[path]
 
-    def best(self, path: int) -> NDArray:
-        """Return the amplitudes of a path that fit best without shrinkage, shape (T,)."""
-        return self.model.best(self.seen(path), self._courses[path])
+    def best(self, path: int, seen: NDArray | None = None) -> NDArray:
+        """Return the amplitudes that fit best what is ``seen`` (T,) along a path, shape (T,).
+
+        By default that is what it meets with the other paths taken off.
+        """
+        return self.model.best(self.seen(path) if seen is None else seen, self._courses[path])
 
     def target_amplitudes(self, path: int) -> NDArray:
         """Return the amplitudes of the target itself, of which a stamp may show a part, (T,).
@@ -285,18 +290,41 @@ class PathSet:
     def may_pass(self, positions: NDArray, cost: float) -> bool:
         """Return whether any path may pass its weight on the residual once it is refined."""
         stamps, origins, norms = self._render(positions)
-        seen = np.empty(len(self.frames), self.matched.dtype)
-        stamp_kernels.correlate(stamps, origins, self.residual, seen)
+        seen = self._seen_by(stamps, origins)
         model = self.model
         excess = (model.value(model.statistic(seen, self._course(norms)))
                   - model.value(self._weight(norms, cost)))
         return excess > model.grid_level(self.threshold) - model.value(self.threshold)
+
+    def seen_left(self, path: int) -> NDArray:
+        """Return the matched filter statistic of the residual along a path, shape (T,)."""
+        return self._seen_by(self._stamps[path], self._origins[path])
+
+    def as_one(self, members: NDArray) -> tuple[NDArray, NDArray]:
+        """Return some paths as parts of one target, all others fixed.
+
+        Returns
+        -------
+        seen : array, shape (len(members), T)
+            Inner products of the data with the stamps as targets of one brightness show them.
+        overlaps : array, shape (len(members), len(members), T)
+            Inner products of these stamps.
+        """
+        matched, overlaps, _ = self._problem(members)
+        norms = np.array([self._norms[path] for path in members])
+        return norms * matched, norms[:, None] * norms * overlaps
 
     def refresh(self) -> None:
         """Compute the residual anew, which sheds the rounding of many small changes."""
         self.residual[:] = self.frames
         for path in range(len(self)):
             self._take(path, 1.0)
+
+    def _seen_by(self, stamps, origins):
+        """Return the statistic of each frame that stamps see in the residual, (T,)."""
+        seen = np.empty(len(self.frames), self.matched.dtype)
+        stamp_kernels.correlate(stamps, origins, self.residual, seen)
+        return seen
 
     def _take(self, path, sign):
         """Take the fit of one path off the residual (or put it back)."""
