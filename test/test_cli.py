@@ -83,16 +83,17 @@ def assert_one_sentence(capsys, *fragments):
 
 def test_detect_finds_the_target_of_a_simulated_recording(tmp_path, capsys):
     recording = tmp_path / 'one.npz'
+    # Of the size that the benchmarks calibrate in their tests.
     assert run('simulate', 'single_target', '--seed', 3, '--output', recording,
-               '--set', 'snr=6', '--set', 'height=40', '--set', 'width=44',
-               '--set', 'n_frames=12') == 0
+               '--set', 'snr=8', '--set', 'height=40', '--set', 'width=44',
+               '--set', 'n_frames=6') == 0
     output = tmp_path / 'results' / 'one'
     assert run('detect', recording, '--output', output) == 0
     with open(output / 'trajectories.csv', newline='') as file:
         rows = list(csv.DictReader(file))
     with open_recording(recording) as opened:
         truth = {int(frame): (x, y) for frame, _, x, y in opened.truth}
-    assert [int(row['frame']) for row in rows] == list(range(12))
+    assert [int(row['frame']) for row in rows] == list(range(6))
     for row in rows:
         x, y = truth[int(row['frame'])]
         assert np.hypot(float(row['x_px']) - x, float(row['y_px']) - y) < 1.5
