@@ -27,7 +27,9 @@ class EveryPath:
 
     def __init__(self, paths, psf, kind, shape, n_frames, weights=None):
         self.kind, _, constant = kind.partition(' ')
-        self.constant = bool(constant)
+        # A complex amplitude is constant in its modulus alone.
+        self.one_modulus = kind == 'complex constant'
+        self.constant = bool(constant) and not self.one_modulus
         self.positions = np.array([positions for positions, _ in paths])
         self.costs = np.array([cost for _, cost in paths])
         self.places, self.cells = np.unique(self.positions.reshape(-1, 2), axis=0,
@@ -78,13 +80,33 @@ class EveryPath:
 
     def statistics(self, frames):
         """Return eta of every path."""
-        seen = self.along(frames)
+        return self.dual_norms(self.along(frames), self.shares)
+
+    def dual_norms(self, seen, shares):
+        """Return the dual norm of what each path sees, (P,)."""
+        if self.one_modulus:
+            return np.sum(shares * np.abs(seen), axis=1)
         return np.linalg.norm(np.maximum(seen, 0) if self.kind == 'non-negative' else seen,
                               axis=1)
 
+    def norms_of(self, x, shares):
+        """Return the norm of the amplitudes of each path, (P,)."""
+        if self.one_modulus:
+            return np.max(np.abs(x) / np.where(shares > 0, shares, np.inf), axis=1)
+        return np.linalg.norm(x, axis=1)
+
+    def shrunk(self, x, shares, weights):
+        """Return the proximal step of the norms times ``weights`` (P,) from x."""
+        if self.one_modulus:
+            return naive.clipped(x, shares, weights)
+        if self.kind == 'non-negative':
+            x = np.maximum(x, 0)
+        size = np.linalg.norm(x, axis=1)
+        return x * np.maximum(0, 1 - weights / np.maximum(size, 1e-300))[:, None]
+
     def weights_of(self, threshold):
         """Return lambda of every path."""
-        if self.constant:
+        if self.constant or self.one_modulus:
             return threshold + self._turn_prices()
         return np.sqrt(threshold**2 + self.costs)
 
@@ -94,7 +116,7 @@ class EveryPath:
 
     def values(self, frames):
         """Return statistic less cost as the search adds them up."""
-        if self.constant:
+        if self.constant or self.one_modulus:
             return self.statistics(frames) - self._turn_prices()
         return self.statistics(frames)**2 - self.costs
 
@@ -113,7 +135,7 @@ class EveryPath:
             residual = data - self.picture(x)
             excess = self.statistics(residual) / weights
             objective = (0.5 * np.linalg.norm(residual)**2
-                         + np.sum(weights * np.linalg.norm(x, axis=1)))
+                         + np.sum(weights * self.norms_of(x, self.shares)))
             # Scaled until feasible the residual bounds the optimum from below.
             scale = min(1.0, 1 / excess.max())
             below = (scale * np.vdot(residual, data).real
@@ -136,21 +158,16 @@ class EveryPath:
         matched = np.einsum('pki,ki->pk', columns, data.reshape(columns.shape[1], -1))
         gram = np.einsum('pki,qki->kpq', columns, columns)
         energy = np.linalg.norm(data)**2
-        x, weights = x[member], weights[member][:, None]
+        x, weights, shares = x[member], weights[member], self.shares[member]
         step = 1 / np.linalg.eigvalsh(gram).max()
 
         def explained(x):
             return (gram @ x.T[..., None])[..., 0].T
 
-        def size(x):
-            return np.linalg.norm(x, axis=1, keepdims=True)
-
         ahead, momentum = x, 1.0
         for number in range(100000):
             moved = ahead + step * (matched - explained(ahead))
-            if self.kind == 'non-negative':
-                moved = np.maximum(moved, 0)
-            new = moved * np.maximum(0, 1 - step * weights / np.maximum(size(moved), 1e-300))
+            new = self.shrunk(moved, shares, step * weights)
             if np.vdot(ahead - new, new - x).real > 0:
                 momentum = 1.0
             following = 0.5 * (1 + np.sqrt(1 + 4 * momentum**2))
@@ -159,12 +176,11 @@ class EveryPath:
             if number % 50 == 0:
                 fit = explained(x)
                 left = matched - fit
-                excess = np.max(size(np.maximum(left, 0) if self.kind == 'non-negative' else left)
-                                / weights)
+                excess = np.max(self.dual_norms(left, shares) / weights)
                 scale = min(1.0, 1 / excess)
                 cross = np.vdot(x, matched).real
                 residual = energy - 2 * cross + np.vdot(x, fit).real
-                objective = 0.5 * residual + np.sum(weights * size(x))
+                objective = 0.5 * residual + np.sum(weights * self.norms_of(x, shares))
                 below = scale * (energy - cross) - 0.5 * scale**2 * residual
                 if objective - below <= gap:
                     break

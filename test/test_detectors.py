@@ -66,11 +66,12 @@ def test_command_line_takes_the_name(detector, tmp_path):
     assert f'"{detector}"' in json.dumps(json.loads((found / 'summary.json').read_text()))
 
 
+@pytest.mark.parametrize('amplitude_model', ['fluctuating', 'constant'])
 @pytest.mark.parametrize('detector', ['convex', 'greedy', 'mt_dp', 'pc_dp'])
-def test_complex_frames_are_searched_in_any_phase(detector):
+def test_complex_frames_are_searched_in_any_phase(detector, amplitude_model):
     phases = np.random.default_rng(1).uniform(0, 2 * np.pi, len(PATH))
     [found] = tbd.detect(frames_with_a_target(phases), detector=detector, amplitudes='complex',
-                         threshold=20.0).trajectories
+                         amplitude_model=amplitude_model, threshold=20.0).trajectories
     assert np.nanmean(np.linalg.norm(found.positions - PATH, axis=1)) < 0.8
     assert np.abs(found.amplitudes).mean() == pytest.approx(12, rel=0.2)
     turned = np.angle(found.amplitudes * np.exp(-1j * phases))

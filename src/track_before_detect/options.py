@@ -104,7 +104,8 @@ class DetectorOptions:
     amplitude_model: str = _option(
         'fluctuating', 'Whether the amplitude may differ from frame to frame; constant finds '
         'dimmer targets, if that of the whole target, whatever variance and mask leave of it, '
-        'is.', kind='text', choices=('fluctuating', 'constant'))
+        'is. Of complex amplitudes it is the modulus that is constant, the phase stays free in '
+        'each frame, and little is gained.', kind='text', choices=('fluctuating', 'constant'))
     false_alarm_rate: float = _option(
         0.05, 'Probability that a batch without targets yields a trajectory.', kind='number',
         above=0.0, maximum=0.5)

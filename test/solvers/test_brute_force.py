@@ -20,7 +20,8 @@ T, SHAPE = 5, (6, 8)
 STAMPS = np.arange(float(T))
 NO_WEIGHTS = np.zeros((0, 0, 0), np.float32)
 THRESHOLD = 3.0
-KINDS = ['non-negative', 'signed', 'complex', 'non-negative constant', 'signed constant']
+KINDS = ['non-negative', 'signed', 'complex', 'non-negative constant', 'signed constant',
+         'complex constant']
 NOISES = ['white', 'variance', 'mask']
 PSFS = {'gaussian': GaussianPsf(2.0), 'integrated': GaussianPsf(2.0, integrated=True)}
 
@@ -54,9 +55,9 @@ class Scene:
             self.weights = valid.astype(np.float32)
         self.every = EveryPath(list(naive.every_path(self.graph, SHAPE)), self.psf, kind, SHAPE,
                                T, self.weights)
-        x = np.zeros((len(self.every.costs), 1 if constant else T))
+        x = np.zeros((len(self.every.costs), 1 if self.every.constant else T))
         for path in generator.choice(len(x), 3, replace=False):
-            x[path] = generator.uniform(4, 9, x.shape[1])
+            x[path] = generator.uniform(4, 9, x.shape[1] if not self.every.one_modulus else 1)
             if name == 'signed':
                 x[path] *= generator.choice([-1, 1], x.shape[1])
         noise = generator.standard_normal((T, *SHAPE))
@@ -146,8 +147,7 @@ def test_gap_of_a_refined_solution_is_no_less_than_the_distance_to_the_optimum(
     # Positions off the grid that the pursuit found are among the paths from then on.
     every = [*zip(scene.every.positions, scene.every.costs, strict=True),
              *zip(result.paths.positions, result.paths.costs, strict=True)]
-    everything = EveryPath(every, scene.psf, scene.every.kind + ' constant'
-                           * scene.every.constant, SHAPE, T, scene.weights)
+    everything = EveryPath(every, scene.psf, kind, SHAPE, T, scene.weights)
     weights = everything.weights_of(THRESHOLD)
     np.testing.assert_allclose(weights[len(scene.every.costs):], result.paths.weights)
     objective, _ = everything.optimum(scene.frames.astype(complex if scene.model.is_complex

@@ -165,7 +165,8 @@ def test_real_part_of_a_complex_scene_is_that_of_a_signed_one(masked):
 @pytest.mark.parametrize(('dtype', 'options', 'words'), [
     (float, {'amplitudes': 'complex'}, 'non-negative or signed'),
     (complex, {'amplitudes': 'signed'}, 'amplitudes complex'),
-    (complex, {'amplitudes': 'complex', 'amplitude_model': 'constant'}, 'constant'),
+    (complex, {'amplitudes': 'complex', 'amplitude_model': 'constant', 'presence': 'partial'},
+     'presence partial .* amplitudes complex'),
     (complex, {'detector': 'cfo_dp'}, 'complex')])
 def test_frames_and_amplitudes_that_do_not_go_together_are_refused(dtype, options, words):
     with pytest.raises(tbd.TbdError, match=words):
@@ -195,6 +196,29 @@ def test_what_is_constant_is_the_amplitude_of_the_target_itself(detector, noise,
     if noise == 'none':
         assert found.statistic == pytest.approx(25 * np.sqrt(T), rel=1e-2 + tolerance)
         assert found.snr == pytest.approx(sign * 25, rel=tolerance)
+
+
+@pytest.mark.parametrize('noise', ['none', 'variances', 'mask'])
+@pytest.mark.parametrize('detector', ['convex', 'greedy'])
+def test_what_is_constant_of_a_complex_target_is_its_modulus(detector, noise):
+    generator = np.random.default_rng(6)
+    phases = np.exp(2j * np.pi * generator.random(T))
+    frames = picture(GaussianPsf(1.0), PATH, 25 * phases)
+    options = {'motion_model': 'constant_velocity'}
+    if noise == 'mask':
+        options['mask'] = generator.random(SHAPE) < 0.3
+        frames[:, options['mask']] = 1e6
+    elif noise == 'variances':
+        options['variance'] = generator.uniform(0.2, 4.0, (T, *SHAPE))
+    [found, *_] = detect(frames, amplitude_model='constant', amplitudes='complex',
+                         detector=detector, **options)
+    tolerance = 5e-3 if detector == 'convex' else 0.2
+    np.testing.assert_allclose(np.abs(found.amplitudes), 25.0, rtol=tolerance)
+    assert np.ptp(np.abs(found.amplitudes)) < 1e-3
+    assert np.abs(np.angle(found.amplitudes / phases)).max() < tolerance
+    assert np.abs(found.positions - PATH).max() < (0.05 if detector == 'convex' else 1.0)
+    if noise == 'none':
+        assert found.statistic == pytest.approx(25 * np.sqrt(T), rel=1e-2 + tolerance)
 
 
 def test_dark_target_is_found_when_constant_amplitudes_are_signed():

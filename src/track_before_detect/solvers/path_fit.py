@@ -7,18 +7,27 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels import group_lasso, least_squares
+from track_before_detect.kernels import constant_modulus, group_lasso, least_squares
 from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, NON_NEGATIVE
+from track_before_detect.solvers import bounded_moduli
 
 MOST_ROUNDS = 200
-# Share of the energy of the data below which a duality gap is lost in rounding.
+# Sweeps over amplitudes of constant modulus: at t = 1 another method takes over from there.
+MOST_SWEEPS, SWEEPS_AT_FIRST = 2000, 300
+# Share of the energy of the data below which a duality gap is lost in rounding, and that to which
+# moduli are bounded.
 ROUNDING = 1e-12
+MODULI_ROUNDING = 1e-10
 
 
 def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
                    t_convex: float, model: AmplitudeModel, energy: float,
                    gap: float, courses: NDArray | None = None) -> tuple[NDArray, bool]:
     """Minimise 1/2 x'Gx - h'x + t sum w_p |x_p| over the amplitudes x of given paths.
+
+    Moduli that are constant are held so at t < 1, where they end at a stationary point that is no
+    worse than the start; at t = 1 they are bounded instead, with the norm that the amplitude model
+    has for it, and the problem is convex.
 
     Parameters
     ----------
@@ -49,6 +58,9 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
     constant = model.is_constant
     if courses is None:
         courses = np.full(amplitudes.shape, 1 / math.sqrt(amplitudes.shape[1]))
+    if model.has_one_modulus:
+        return _fit_moduli(amplitudes, matched, gram, courses, weights, t_convex, energy,
+                           max(gap, MODULI_ROUNDING * energy))
     if constant:
         # One amplitude for each path: its column joins all frames.
         x = np.sum(courses * amplitudes, axis=1, keepdims=True)
@@ -75,6 +87,20 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
     return courses * fitted if constant else fitted, converged
 
 
+def _fit_moduli(amplitudes, matched, gram, courses, weights, t_convex, energy, wanted):
+    """Fit amplitudes of constant modulus and free phase."""
+    x = np.array(amplitudes, complex)
+    matched = np.ascontiguousarray(matched, complex)
+    gram, courses = np.ascontiguousarray(gram), np.ascontiguousarray(courses)
+    convex = t_convex == 1.0
+    left = constant_modulus.descend(
+        x, np.empty(len(x)), matched, gram, courses, t_convex * weights, convex, energy, wanted,
+        SWEEPS_AT_FIRST if convex else MOST_SWEEPS)
+    if convex and left > wanted:
+        x, left = bounded_moduli.solve(matched, gram, courses, weights, energy, wanted)
+    return x, left <= wanted
+
+
 def _in_parts(values):
     """Return a copy of values (P, T) as real numbers, shape (P, 1, T) or (P, 2, T)."""
     parts = (values.real, values.imag) if np.iscomplexobj(values) else (values,)
@@ -82,7 +108,7 @@ def _in_parts(values):
 
 
 def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
-              t_convex: float) -> float:
+              t_convex: float, norms: NDArray | None = None) -> float:
     """Return F_t without the energy of the data.
 
     F_t = 1/2 x'Gx - h'x + t sum w_p |x_p| + 1/2 (1 - t)^2 sum of w_p^2 over paths with x_p != 0
@@ -91,9 +117,12 @@ def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDA
     ----------
     amplitudes, matched, gram, weights, t_convex
         As in :func:`fit_amplitudes`.
+    norms : array, shape (P,), optional
+        |x_p| of each path where it is not the Euclidean norm.
     """
     explained = np.einsum('pqt,qt->pt', gram, amplitudes)
-    norms = np.linalg.norm(amplitudes, axis=1)
+    if norms is None:
+        norms = np.linalg.norm(amplitudes, axis=1)
     return float(np.vdot(amplitudes, 0.5 * explained - matched).real
                  + t_convex * np.sum(weights * norms)
                  + 0.5 * (1 - t_convex)**2 * np.sum(weights[norms > 0]**2))

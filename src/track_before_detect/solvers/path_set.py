@@ -164,11 +164,14 @@ class PathSet:
         amplitudes, converged = fit_amplitudes(self.amplitudes[members], *problem, t_convex,
                                                self.model, self.energy, gap,
                                                self._courses[members])
-        return objective(amplitudes, *problem, t_convex), amplitudes, converged
+        norms = self.model.norms(amplitudes, self._courses[members])
+        return objective(amplitudes, *problem, t_convex, norms), amplitudes, converged
 
     def objective_of(self, members: NDArray, t_convex: float) -> float:
         """Return F_t as far as it depends on some paths, all others fixed."""
-        return objective(self.amplitudes[members], *self._problem(members), t_convex)
+        amplitudes = self.amplitudes[members]
+        norms = self.model.norms(amplitudes, self._courses[members])
+        return objective(amplitudes, *self._problem(members), t_convex, norms)
 
     def _problem(self, members: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Return matched filter less the fit of all other paths, overlaps and weights."""
@@ -218,7 +221,7 @@ class PathSet:
     def objective(self, t_convex: float) -> float:
         """Return F_t, the energy of the data included."""
         fit = np.vdot(self.amplitudes, self.explained()).real
-        norms = np.linalg.norm(self.amplitudes, axis=1)
+        norms = self.model.norms(self.amplitudes, self._courses)
         used = self.weights[norms > 0]
         return float(self.energy + 0.5 * fit - np.vdot(self.amplitudes, self.matched).real
                      + t_convex * np.sum(self.weights * norms)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.climb import best_amplitudes, climb
+from track_before_detect.kernels.constant_modulus import clip_moduli
 from track_before_detect.kernels.sight import look
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.plane_view import PlaneView
@@ -69,7 +70,8 @@ class Refiner:
         limits = self._psf.limits(frames.shape[1:])
         squared = float(self.gains(frames, positions).sum())
         price = cost * self._dearness(frames, positions)
-        best = (self.lowers(squared, price, threshold, t_convex) + LEAST_GAIN, positions, cost)
+        best = (self._fall(frames, positions, squared, price, threshold, t_convex) + LEAST_GAIN,
+                positions, cost)
         for start, basis, family_cost in self._motions.candidates(positions, cost):
             moved = np.array(start)
             value = climb(moved, basis, self._sight, limits, frames, self._weights,
@@ -80,7 +82,7 @@ class Refiner:
             if moved_cost is None:
                 moved_cost = self._motions.cost(moved)
             dearness = self._dearness(frames, moved)
-            gain = self.lowers(value, dearness * moved_cost, threshold, t_convex)
+            gain = self._fall(frames, moved, value, dearness * moved_cost, threshold, t_convex)
             if gain > best[0]:
                 best = (gain, moved, moved_cost)
         return best[1], best[2]
@@ -108,6 +110,17 @@ class Refiner:
         if not (self._model.is_constant and len(self._weights)):
             return 1.0
         return self._model.dearness(self._look(frames, positions)[1])
+
+    def _fall(self, frames, positions, squared, cost, threshold, t_convex):
+        """Return by how much a path of this squared statistic lowers F_t, alone."""
+        if not (self._model.has_one_modulus and t_convex == 1.0):
+            return self.lowers(squared, cost, threshold, t_convex)
+        # Bounded moduli explain more than equal ones: half the squared norm of what is left of
+        # them after shrinkage.
+        seen, norms = self._look(frames, positions)
+        left = np.array(seen[:, 0])
+        clip_moduli(left, self._model.course(norms), self._model.weight(threshold, cost))
+        return 0.5 * float(left @ left)
 
     def lowers(self, squared: float, cost: float, threshold: float, t_convex: float) -> float:
         """Return by how much a path of this squared statistic lowers F_t, alone."""
