@@ -5,7 +5,13 @@ import pytest
 
 import naive
 from track_before_detect.kernels import constant_modulus
-from track_before_detect.models.amplitudes import AmplitudeModel, COMPLEX_CONSTANT
+from track_before_detect.models.amplitudes import (
+    AmplitudeModel,
+    COMPLEX,
+    COMPLEX_CONSTANT,
+    CONSTANT,
+    SIGNED,
+)
 from track_before_detect.solvers import bounded_moduli
 from track_before_detect.solvers.path_fit import fit_amplitudes, objective
 
@@ -65,6 +71,12 @@ def test_one_modulus_beats_all_others():
         other = alpha * generator.uniform(0, 2)
         x = other * course * np.exp(1j * (np.angle(seen) + generator.normal(0, 1, 6)))
         assert 0.5 * np.linalg.norm(x - seen)**2 + 1.5 * other >= lowest - 1e-12
+
+
+def test_phases_and_one_modulus_are_the_numbers_of_a_path():
+    assert MODEL.n_numbers(9) == 10
+    others = [AmplitudeModel(code).n_numbers(9) for code in (SIGNED, CONSTANT, COMPLEX)]
+    assert others == [9, 1, 18]
 
 
 @pytest.mark.parametrize('t', [0.0, 0.3, 0.9])

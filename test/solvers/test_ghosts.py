@@ -65,7 +65,8 @@ def test_right_psf_is_not_doubted(caplog):
 @pytest.mark.parametrize('options', [
     {'amplitudes': 'signed'}, {'amplitudes': 'complex'},
     {'amplitude_model': 'constant', 'threshold': 6.0},
-], ids=['signed', 'complex', 'constant'])
+    {'amplitudes': 'complex', 'amplitude_model': 'constant'},
+], ids=['signed', 'complex', 'constant', 'one modulus'])
 def test_other_amplitudes_have_no_ghosts_either(options):
     kind = np.complex64 if options.get('amplitudes') == 'complex' else np.float32
     frames = scene([(LINE, 15.0, 1.4)], 3, kind=kind)

@@ -83,6 +83,10 @@ class AmplitudeModel:
         """Whether the modulus is the same in all frames and the phase free."""
         return self.code == COMPLEX_CONSTANT
 
+    def n_numbers(self, n_frames: int) -> int:
+        """Return of how many real numbers the amplitudes of a path are made."""
+        return (1 if self.is_constant else n_frames) + n_frames * self.is_complex
+
     @property
     def turn_cost(self) -> float:
         """Cost of a change of either velocity component by one step, in units of a value.

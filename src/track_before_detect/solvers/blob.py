@@ -196,7 +196,8 @@ def together(seen: NDArray, overlaps: NDArray, model: AmplitudeModel,
     course : array, shape (T,)
         See :meth:`AmplitudeModel.course`.
     """
-    summed = seen.sum(axis=1, keepdims=True) if model.is_constant else seen
+    coherent = model.is_constant and not model.has_one_modulus
+    summed = seen.sum(axis=1, keepdims=True) if coherent else seen
     energy = overlaps.sum(axis=2)
     energy += ROUNDING * np.trace(energy) * np.eye(len(energy))
     shares = eigh((summed @ summed.conj().T).real, energy)[1][:, -1]

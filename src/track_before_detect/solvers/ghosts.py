@@ -134,7 +134,7 @@ class GhostSearch:
         objective, _, _ = paths.fitted(members, 0.0)
         free = 0.5 * float(np.sum(paths.weights[members]**2)) - objective
         n_axes = sum(side > 1 for side in paths.frames.shape[1:])
-        n_numbers = 1 if model.is_constant else len(paths.frames) * (1 + model.is_complex)
+        n_numbers = model.n_numbers(len(paths.frames))
         return all(
             energy - blob.energy <= 0.5 * chi2.isf(
                 chance, (len(members) - 1) * (numbers + PER_AXIS * n_axes) - blob.n_shares)
