@@ -103,4 +103,3 @@ def draw_roc(figure: Any, curves: Mapping[str, Roc], rate: float, ours: str) -> 
     axes.grid(alpha=0.25)
     axes.spines[['top', 'right']].set_visible(False)
     figure.legend(loc='outside right upper', frameon=False, fontsize='small')
-
