@@ -132,7 +132,7 @@ def test_alarms_of_a_higher_threshold_are_among_those_of_a_lower_one():
     assert counts[0] == 0 and counts[2] == 6
 
 
-ITEM = {'snr': 20.0, 'threshold': 9.0}
+ITEM = {'snr': 20.0, 'sigma_px': 1.0, 'threshold': 9.0}
 
 
 @pytest.mark.parametrize('backend', ['loky', 'dask'])
