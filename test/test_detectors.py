@@ -53,6 +53,20 @@ def test_result_is_of_the_same_type(detector):
     assert np.nanmean(found.amplitudes) == pytest.approx(12, rel=0.2)
 
 
+@pytest.mark.parametrize('detector', ['convex', 'greedy', 'mt_dp', 'pc_dp', 'velocity_filter'])
+@pytest.mark.parametrize('upright', [False, True])
+def test_amplitude_in_frames_of_one_row_is_that_of_the_row(detector, upright):
+    frames = np.zeros((8, 1, 64))
+    for t in range(8):
+        row = np.exp(-0.125 * (np.arange(64) - 20 - t)**2)
+        frames[t, 0] = 9 * row / np.linalg.norm(row)
+    if upright:
+        frames = frames.transpose(0, 2, 1)
+    [found] = tbd.detect(frames, detector=detector, psf_sigma_px=2.0, threshold=12.0).trajectories
+    np.testing.assert_allclose(found.amplitudes, 9.0, rtol=0.07)
+    assert found.snr == pytest.approx(9.0, rel=0.05)
+
+
 @pytest.mark.parametrize('detector', DETECTORS)
 def test_command_line_takes_the_name(detector, tmp_path):
     np.savez(tmp_path / 'frames.npz', frames=frames_with_a_target())

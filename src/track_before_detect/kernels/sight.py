@@ -129,3 +129,19 @@ def sharpest(curvature):
     for t in range(curvature.shape[0]):
         most = max(most, curvature[t].sum())
     return 1.0 / math.sqrt(most)
+
+
+def whole_norm(sight, shape):
+    """Return the norm of a stamp amid frames (H, W): less than one in those of one row or column.
+
+    Such a frame is all that its sensor could ever see of a target.
+    """
+    if min(shape) > 1:
+        return 1.0
+    size = 2 * max(optics.half for optics in sight.optics) + 1
+    height, width = [1 if side == 1 else 2 * size + 1 for side in shape]
+    norms = np.empty(1)
+    render_path(sight, np.array([[width // 2, height // 2]], np.float64), height, width,
+                np.zeros((0, 0, 0), np.float32), np.empty((1, size, size)),
+                np.empty((1, 2), np.int64), norms)
+    return float(norms[0])

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.kernels.sight import whole_norm
 from track_before_detect.models.psf import psf_of
 from track_before_detect.models.transition_sets import directional_sets, TransitionSets
 from track_before_detect.options import DetectorOptions
@@ -128,8 +129,10 @@ class MtDpDetector(BatchDetector):
                 threshold: float) -> BatchResult:
         """Return tracks as trajectories, best first, with the first and last largest merit."""
         statistic, n_frames = self.merit.statistic, len(search.scores)
+        shown = whole_norm(self.psf.sight(), search.scores.shape[1:])
         found = [FoundTrajectory(
-            track.pixels.astype(float), search.amplitudes(track), statistic(track.value, n_frames),
+            track.pixels.astype(float), shown * search.amplitudes(track),
+            statistic(track.value, n_frames),
             float(np.mean(np.abs(track.seen) if self._complex else track.seen)))
             for track in sorted(tracks, key=lambda track: -track.value)]
         left = max(search.largest_left for search in searches)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels import stamps as stamp_kernels
-from track_before_detect.kernels.sight import render_path
+from track_before_detect.kernels.sight import render_path, whole_norm
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.plane_view import PlaneView
 from track_before_detect.models.psf import Psf
@@ -73,6 +73,7 @@ class PathSet:
         self.frames = frames
         self._pixel_weights = np.asarray(weights, np.float32)
         self._sight = psf.sight()
+        self._whole_norm = whole_norm(self._sight, frames.shape[1:])
         self.threshold = threshold
         self.positions: list[NDArray] = []
         self.costs: list[float] = []
@@ -287,7 +288,7 @@ class PathSet:
 
         Zero in a frame that shows nothing of it.
         """
-        norms = self._norms[path]
+        norms = self._norms[path] / self._whole_norm
         return self.amplitudes[path] / np.where(norms > 0, norms, np.inf)
 
     def may_pass(self, positions: NDArray, cost: float) -> bool:

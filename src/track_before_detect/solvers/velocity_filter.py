@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.kernels.amplitude_codes import CONSTANT, SIGNED_CONSTANT
 from track_before_detect.kernels.climb import climb
+from track_before_detect.kernels.sight import whole_norm
 from track_before_detect.kernels.stamps import accumulate, render, statistic_and_slope
 from track_before_detect.models.psf import psf_of
 from track_before_detect.models.velocity_grid import velocity_grid, VelocityGrid
@@ -201,7 +202,8 @@ class VelocityFilterDetector(BatchDetector):
             batch.subtract(new)
         found.sort(key=lambda line: -line.statistic)
         return BatchResult(
-            [FoundTrajectory(line.positions, np.where(line.inside, line.amplitude, np.nan),
+            [FoundTrajectory(line.positions,
+                             np.where(line.inside, batch.whole_norm * line.amplitude, np.nan),
                              line.statistic, line.snr) for line in found],
             threshold, status, history, math.nan)
 
@@ -232,6 +234,7 @@ class _Batch:
         self._sight = psf.sight(for_climbing=True)
         self._optics = self._sight.optics[0]
         self._limits = psf.limits(frames.shape[1:])
+        self.whole_norm = whole_norm(self._sight, frames.shape[1:])
         self._model = SIGNED_CONSTANT if signed else CONSTANT
         valid = np.isfinite(frames)
         self._residual = np.ascontiguousarray(np.where(valid, frames, 0), np.float32)
