@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.constant_modulus import convex_gap
+from track_before_detect.models.amplitudes import AmplitudeModel, COMPLEX_CONSTANT
 
 MOST_STEPS = 300
 # By how much the barrier is lowered once a step gains less than this share of its height.
@@ -145,8 +146,7 @@ class _Problem:
         lacking = 1 - (self._courses * np.abs(self._left(x))).sum(axis=1) / self._weights
         x = np.where((lacking > s / s.sum())[:, None], 0.0, x)
         amplitudes = x[0] + 1j * x[1]
-        courses = np.where(self._courses > 0, self._courses, np.inf)
-        norms = np.max(np.abs(amplitudes) / courses, axis=1)
+        norms = AmplitudeModel(COMPLEX_CONSTANT).norms(amplitudes, self._courses)
         _, gap = convex_gap(amplitudes, norms, self._data, self._left(x), self._courses,
                             self._weights, self._energy)
         return gap, amplitudes

@@ -63,10 +63,15 @@ class ConstantPartialSearch(PartialSearch):
         least = max(float(there.min()) if len(there) else 0.0, LEAST_SHARE)
         found: list[FoundPath] = []
         level = above
+        root = math.sqrt(len(frames))
         for sign in self._signs:
-            level, paths = paths_over_tilts(
-                partial(self._tilted, frames, squares, sign, above, radius, limit), level, most,
-                least)
+            if self._positions.shares is None:
+                # A frame then costs the same everywhere, so all tilts have these scores.
+                even = self._positions.scores(frames, sign / root)
+                look = partial(self._evenly_tilted, even, squares, above, radius, limit)
+            else:
+                look = partial(self._tilted, frames, squares, sign, above, radius, limit)
+            level, paths = paths_over_tilts(look, level, most, least)
             found += [path for path in paths if path.value > above]
         return level, best_new(found, is_new, limit)
 
@@ -77,17 +82,24 @@ class ConstantPartialSearch(PartialSearch):
             return np.ones((1, *self.grid_shape), np.float32)
         return np.where(shares > LEAST_SHARE, shares, np.float32(0))
 
+    def _evenly_tilted(self, scores, squares, above, radius, limit, tilt):
+        """Return what ``_tilted`` does where n is one, of scores h over the root of the frames."""
+        self._presence = replace(self._price, per_frame=tilt / math.sqrt(len(scores)))
+        return self._passing(scores, 0.0, squares, above, radius, limit, tilt)
+
     def _tilted(self, frames, squares, sign, above, radius, limit, tilt):
         """Return the largest sum of n h - tilt n^2, and the paths that surely are above a bound.
 
         The best path is among them wherever it is.
         """
         root = math.sqrt(len(frames))
-        if self._positions.shares is None:
-            self._presence = replace(self._price, per_frame=tilt / root)
-            scores = self._positions.scores(frames, sign / root)
-        else:
-            scores = self._positions.scores(frames, sign / root, tilt / root)
+        self._presence = self._price
+        scores = self._positions.scores(frames, sign / root, tilt / root)
+        return self._passing(scores, tilt, squares, above, radius, limit, tilt)
+
+    def _passing(self, scores, taken, squares, above, radius, limit, tilt):
+        """Return what ``_tilted`` does, of scores that have taken * n^2 taken off already."""
+        root = math.sqrt(len(scores))
         ends = self.run(self._sheared(scores))
         largest = float(ends.max())
         passing = max(above, 0.0)**2 / (4 * tilt * root) if tilt else 0.0
@@ -98,9 +110,8 @@ class ConstantPartialSearch(PartialSearch):
             x, y = np.rint(path.positions[frame].T / self.graph.step_px).astype(int)
             square = float(squares[frame if len(squares) > 1 else 0, y, x].sum(dtype=float))
             cost = path.cost - self._presence.per_frame * len(frame)
-            product = root * (float(scores[frame, y, x].sum(dtype=float)) - cost)
-            if self._positions.shares is not None:
-                product += tilt * square
+            product = (root * (float(scores[frame, y, x].sum(dtype=float)) - cost)
+                       + taken * square)
             found.append(replace(path, cost=cost,
                                  value=product / math.sqrt(square) if square else 0.0))
         return root * largest, found

@@ -57,9 +57,9 @@ class PartialRefiner(Refiner):
             first, last = interval
             inside = slice(first, last + 1)
             price = self._presence.cost(first, last, n_frames)
-            dearness = self._model.dearness(self._seen(frames, moved)[1])
-            weight = self._model.weight(threshold, price * dearness)
             stretch = self._stretch(first, last)
+            dearness = stretch * self._dearness(frames[inside], moved[inside])
+            weight = self._model.weight(threshold, price * dearness)
             part, turns = self._refiner(first, last).refine(
                 frames[inside], moved[inside], turns * stretch, weight, t_convex)
             turns /= stretch
