@@ -55,11 +55,11 @@ def test_a_calibration_takes_half_a_minute_on_two_cores(shape, make):
 
 
 @pytest.mark.parametrize(('n_frames', 'shape', 'options', 'n_crops'), [
-    (20, (64, 64), {}, 3200), (20, (96, 96), {}, 1422), (20, (128, 128), {}, 800),
+    (20, (64, 64), {}, 2800), (20, (96, 96), {}, 1422), (20, (128, 128), {}, 800),
     (20, (512, 640), {}, 800), (20, (96, 96), {'detector': 'greedy'}, 1422),
     (20, (96, 96), {'detector': 'velocity_filter'}, 997),
-    (6, (50, 50), {'detector': 'velocity_filter'}, 4000),
-    (20, (96, 96), {'detector': 'cso_dpr'}, 1422), (6, (50, 50), {'detector': 'mff_dp'}, 4000)])
+    (6, (50, 50), {'detector': 'velocity_filter'}, 2800),
+    (20, (96, 96), {'detector': 'cso_dpr'}, 1422), (6, (50, 50), {'detector': 'mff_dp'}, 2800)])
 def test_usual_calibrations_keep_their_crops(n_frames, shape, options, n_crops):
     study = study_of(n_frames, shape, **options)
     crop = threshold._crop(study, shape)

@@ -5,6 +5,7 @@ import logging
 
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from false_alarms import assert_rate_is_realised
 from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
@@ -118,15 +119,35 @@ def test_crops_get_smaller_only_where_too_few_would_fit_and_maxima_can_be_scaled
     assert crop(0.8, 32, whole_width=True) == (32, 300)
 
 
-@pytest.mark.parametrize('n_crops', [150, 400])
-def test_fewer_crops_leave_the_rate_within_a_half(n_crops):
-    # Maxima of many independent paths, whose squares have an exponential tail.
+def exponential(generator, n_crops):
+    """Draw largest squares of a crop whose number of false ones falls exponentially."""
+    return np.log(3e4) + generator.gumbel(size=n_crops), lambda x: 3e4 * np.exp(-x)
+
+
+def chi_squared(generator, n_crops):
+    """Draw largest squares of 2000 sums of twenty squares each."""
+    maxima = chi2.isf(-np.expm1(np.log(generator.uniform(size=n_crops)) / 2000), 20)
+    return maxima, lambda x: -2000 * np.log1p(-chi2.sf(x, 20))
+
+
+@pytest.mark.parametrize('n_crops, rate, maxima, value', [
+    (150, 0.05, exponential, module._exponential_value),
+    (400, 0.05, exponential, module._exponential_value),
+    (150, 0.05, chi_squared, lambda *seen: module._chi_squared_value(*seen, 0.5)),
+    (3200, 0.005, chi_squared, lambda *seen: module._chi_squared_value(*seen, 0.5)),
+    (800, 0.0005, chi_squared, lambda *seen: module._chi_squared_value(*seen, 0.5)),
+])
+def test_fewer_crops_leave_the_rate_within_a_half(n_crops, rate, maxima, value):
     rng = np.random.default_rng(n_crops)
-    rate = 0.05
     realised = []
     for _ in range(60):
-        maxima = np.log(3e4) + rng.gumbel(size=n_crops)
-        value = module._tail_value(maxima, -np.log1p(-rate))
-        realised.append(-np.expm1(-3e4 * np.exp(-value)))
+        largest, expected_above = maxima(rng, n_crops)
+        bound = value(np.sort(largest), -np.log1p(-rate))
+        realised.append(-np.expm1(-expected_above(bound)))
     assert np.median(realised) == pytest.approx(rate, rel=0.2)
     assert np.mean(np.abs(np.log(np.array(realised) / rate)) < np.log(1.5)) > 0.7
+
+
+def test_squares_that_fall_off_more_slowly_than_told_give_a_threshold_all_the_same():
+    largest = np.sort(np.random.default_rng(5).pareto(0.5, 1000))
+    assert largest[750] < module._chi_squared_value(largest, 0.01, 0.5) < np.inf

@@ -261,7 +261,8 @@ class PathDetector(BatchDetector):
 
         return NoiseStudy(
             f'{type(self).__name__} {graph.fingerprint()} {psf.key} {self.model} '
-            f'{self.presence} {margin > 0}', area, searcher, doppler, seconds)
+            f'{self.presence} {margin > 0}', area, searcher, doppler, seconds,
+            decay=1.0 if self.model.is_complex else 0.5)
 
     def largest_value(self, search: PathSearch, psf: Psf | PlaneView, times: NDArray,
                       ) -> Callable[[NDArray], float]:

@@ -165,7 +165,8 @@ class VelocityFilterDetector(BatchDetector):
             grid.effective_area, searcher,
             seconds=lambda crop: len(stamps) * (
                 SECONDS_PER_SUM * grid.n_velocities * np.prod(crop) + SECONDS_PER_FRAME),
-            least_crop_px=min(CROP_PX, max(LEAST_CROP_PX, round(extent / MOST_OF_CROP))))
+            least_crop_px=min(CROP_PX, max(LEAST_CROP_PX, round(extent / MOST_OF_CROP))),
+            decay=0.5)
 
     def detect(self, frames: NDArray, stamps: NDArray,
                progress: Progress | None = None) -> BatchResult:
