@@ -159,6 +159,30 @@ def test_search_of_the_same_frames_again_and_of_others_is_that_of_a_new_one():
             np.testing.assert_array_equal(a.positions, b.positions)
 
 
+@pytest.mark.parametrize('amplitude_model', ['fluctuating', 'constant'])
+def test_batch_with_weights_and_one_without_do_not_change_each_other(amplitude_model):
+    rng = np.random.default_rng(17)
+    options = DetectorOptions(presence='partial', amplitude_model=amplitude_model, threshold=5.0,
+                              max_speed_px_s=0.5)
+    batches = []
+    for weighted in (False, True, False, True):
+        frames = rng.standard_normal((8, 20, 24)).astype(np.float32)
+        for frame in frames[3:]:
+            add_target(frame, 11.3, 8.6, 1.0, 5.0)
+        weights = rng.uniform(0.5, 1.0, (8, 20, 24)).astype(np.float32)
+        weights[:, :, :4] = 0
+        batches.append((frames * weights if weighted else frames, np.arange(8.0),
+                        weights if weighted else None))
+    detector = ConvexDetector(options)
+    for batch in batches:
+        again = detector.detect_weighted(*batch).found
+        alone = ConvexDetector(options).detect_weighted(*batch).found
+        assert len(again) == len(alone) > 0
+        for one, other in zip(again, alone, strict=True):
+            np.testing.assert_array_equal(one.positions, other.positions)
+            assert one.statistic == other.statistic
+
+
 @pytest.mark.parametrize('seed', range(5))
 def test_best_interval_is_the_best_of_all(seed):
     gains = np.random.default_rng(seed).exponential(1.0, 12)
