@@ -350,6 +350,10 @@ def test_a_lone_path_solves_the_line_search_of_its_weights():
     ({'weights': np.ones(4)}, r'weights must be numbers of shape \(5,\) or \(3, 5\)'),
     ({'weights': np.zeros(5)}, 'weights must be finite and above 0, got 0'),
     ({'weights': np.full((3, 5), np.nan)}, 'weights must be finite and above 0'),
+    ({'weights': np.full(5, 1e-200)}, 'weights must be from 1e-70 to 1e.70, got 1e-200'),
+    ({'frames': np.full((5, 9, 24), 1e200)}, 'frames must hold values of at most 1e.70'),
+    ({'paths': [[1, 2], [3]]}, 'paths must be an array of numbers'),
+    ({'lam': 1e300}, 'lam must be at most 1e.70'),
 ])
 def test_bad_input_is_refused_in_one_sentence(change, message):
     arguments = {'frames': np.zeros((5, 9, 24)), 'paths': np.ones((3, 5, 2)), 'psf': PSF,
@@ -358,6 +362,17 @@ def test_bad_input_is_refused_in_one_sentence(change, message):
     with pytest.raises((tbd.DataError, tbd.ParameterError), match=message) as caught:
         tbd.fit_paths(frames, paths, **arguments)
     assert '\n' not in str(caught.value)
+
+
+@pytest.mark.parametrize('integrated', [False, True])
+def test_model_of_the_psf_leaves_nothing_of_its_own_picture(integrated):
+    psf = GaussianPsf(0.6, integrated)
+    position = np.array([7.3, 4.8])
+    picture = naive.cut(naive.psf_picture(psf, position), (9, 24))
+    picture *= 10 / np.linalg.norm(picture)
+    fit = tbd.fit_paths(picture[None], position[None, None], psf=psf, lam=1.0, t=0.0)
+    np.testing.assert_allclose(fit.amplitudes, 10, rtol=1e-6)
+    np.testing.assert_allclose(fit.objective, 0.5, rtol=1e-5)
 
 
 def constant_velocities(seed):

@@ -118,8 +118,11 @@ def _normalise(stamp):
 
 
 @numba.njit(**_COMPILE)
-def render_gaussians(keys, sigma, half, height, width):
-    """Return stamps and origins of a Gaussian of peak one, cut at the border, then unit norm."""
+def render_gaussians(keys, sigma, integrated, half, height, width):
+    """Return stamps and origins of a Gaussian, cut at the border, then of unit norm.
+
+    A pixel sees it at its centre or, ``integrated``, over its area.
+    """
     n_places = keys.shape[0]
     size_y = min(2 * half + 1, height)
     size_x = min(2 * half + 1, width)
@@ -127,10 +130,11 @@ def render_gaussians(keys, sigma, half, height, width):
     origins = np.empty((n_places, 2), np.int32)
     profile_x = np.empty(size_x)
     profile_y = np.empty(size_y)
-    scale = -0.5 / (sigma * sigma)
     for c in range(n_places):
-        origins[c, 0] = _profile(keys[c, 0] / PLACES_PER_PX, scale, half, width, profile_x)
-        origins[c, 1] = _profile(keys[c, 1] / PLACES_PER_PX, scale, half, height, profile_y)
+        origins[c, 0] = _profile(
+            keys[c, 0] / PLACES_PER_PX, sigma, integrated, half, width, profile_x)
+        origins[c, 1] = _profile(
+            keys[c, 1] / PLACES_PER_PX, sigma, integrated, half, height, profile_y)
         for i in range(size_y):
             for k in range(size_x):
                 stamps[c, i, k] = profile_y[i] * profile_x[k]
@@ -139,15 +143,21 @@ def render_gaussians(keys, sigma, half, height, width):
 
 
 @numba.njit(**_COMPILE)
-def _profile(position, scale, half, extent, profile):
+def _profile(position, sigma, integrated, half, extent, profile):
     """Fill one axis of a Gaussian stamp and return its first pixel."""
+    scale = -0.5 / (sigma * sigma)
+    unit = 1 / (math.sqrt(2.0) * sigma)
     centre = int(math.ceil(position - 0.5))
     origin = min(max(centre - half, 0), extent - profile.size)
     for k in range(profile.size):
         pixel = origin + k
         profile[k] = 0.0
         if abs(pixel - centre) <= half:
-            profile[k] = math.exp(scale * (pixel - position)**2)
+            if integrated:
+                profile[k] = (math.erf(unit * (pixel + 0.5 - position))
+                              - math.erf(unit * (pixel - 0.5 - position)))
+            else:
+                profile[k] = math.exp(scale * (pixel - position)**2)
     return origin
 
 

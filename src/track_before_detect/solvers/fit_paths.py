@@ -20,6 +20,9 @@ from track_before_detect.types import Step
 NUMBER = (int, float, np.integer, np.floating)
 AMPLITUDES = ('non-negative', 'signed', 'complex')
 
+# Frames, weights and lambda up to which squares and their sums stay finite.
+LARGEST = 1e70
+
 MOST_ROUNDS = 200
 # How the working set is solved, and in how many rounds at most.
 METHODS = {
@@ -146,8 +149,15 @@ def fit_paths(frames: NDArray, paths: NDArray, *, psf: NDArray | GaussianPsf, la
     return _WorkingSet(problem, lam, t, non_negative).run(tol, method)
 
 
+def _as_array(name, values):
+    try:
+        return np.asarray(values)
+    except ValueError as error:
+        raise DataError(f'{name} must be an array of numbers: {error}') from error
+
+
 def _checked_weights(weights, shape):
-    array = np.asarray(weights)
+    array = _as_array('weights', weights)
     if array.dtype.kind not in 'biuf' or array.shape not in (shape, shape[1:]):
         raise DataError(f'weights must be numbers of shape ({shape[1]},) or {shape}, got '
                         f'{array.dtype} of shape {array.shape}')
@@ -155,6 +165,9 @@ def _checked_weights(weights, shape):
     if not (np.isfinite(array).all() and (array > 0).all()):
         raise DataError('weights must be finite and above 0, got '
                         f'{array[~(np.isfinite(array) & (array > 0))][0]:g}')
+    if len(array) and not (array.min() >= 1 / LARGEST and array.max() <= LARGEST):
+        raise DataError(f'weights must be from {1 / LARGEST:g} to {LARGEST:g}, got '
+                        f'{array.min():g} to {array.max():g}')
     return array
 
 
@@ -163,7 +176,7 @@ def _checked_frames(frames, amplitudes):
     if amplitudes not in AMPLITUDES:
         raise ParameterError(
             f'amplitudes must be one of {", ".join(AMPLITUDES)}, got {amplitudes!r}')
-    frames = np.asarray(frames)
+    frames = _as_array('frames', frames)
     if frames.ndim != 3 or 0 in frames.shape:
         raise DataError(f'frames must have the shape (T, H, W), none of them 0, got the shape '
                         f'{frames.shape}')
@@ -172,6 +185,9 @@ def _checked_frames(frames, amplitudes):
     if frames.dtype.kind == 'c' and amplitudes != 'complex':
         raise DataError(f'complex frames need amplitudes complex, got {amplitudes!r}')
     valid = np.isfinite(frames)
+    size = float(np.abs(frames, where=valid, out=np.zeros(frames.shape)).max())
+    if size > LARGEST:
+        raise DataError(f'frames must hold values of at most {LARGEST:g}, got {size:g}')
     parts = (frames.real, frames.imag) if amplitudes == 'complex' else (frames,)
     data = np.array(parts, np.float64)
     if valid.all():
@@ -182,7 +198,7 @@ def _checked_frames(frames, amplitudes):
 
 def _checked_paths(paths, shape):
     n_frames, height, width = shape
-    paths = np.asarray(paths)
+    paths = _as_array('paths', paths)
     if paths.dtype.kind not in 'iuf':
         raise DataError(f'paths must be real numbers, got an array of {paths.dtype}')
     if paths.ndim != 3 or paths.shape[1:] != (n_frames, 2):
@@ -202,6 +218,8 @@ def _checked_numbers(lam, t, tol):
     for name, value in (('lam', lam), ('tol', tol)):
         if not (isinstance(value, NUMBER) and math.isfinite(value) and value > 0):
             raise ParameterError(f'{name} must be a number above 0, got {value!r}')
+    if lam > LARGEST:
+        raise ParameterError(f'lam must be at most {LARGEST:g}, got {lam!r}')
     if not (isinstance(t, NUMBER) and 0 <= t <= 1):
         raise ParameterError(f't must be a number from 0 to 1, got {t!r}')
     return float(lam), float(t), float(tol)
@@ -246,7 +264,7 @@ class _Problem:
         self.cells, self.cell_place, self.cell_frame = cell_kernels.number_cells(places, len(keys))
         if isinstance(psf, GaussianPsf):
             self.stamps, self.origins = cell_kernels.render_gaussians(
-                keys, float(psf.sigma_px), psf.half_width, height, width)
+                keys, float(psf.sigma_px), psf.integrated, psf.half_width, height, width)
         else:
             self.stamps, self.origins = cell_kernels.render_array(keys, psf, height, width)
         if valid is not None:
