@@ -154,6 +154,14 @@ def test_masked_pixels_are_left_out():
     assert np.abs(found.positions - place(found.stamps)).mean() < 0.5
 
 
+def test_a_blind_sensor_leaves_the_search_to_the_others():
+    first, second = sensors(6, 20.0)
+    first.frames[:] = np.nan
+    [found] = detect_sensors([first, second], threshold=12).trajectories
+    assert np.abs(found.positions - place(found.stamps)).mean() < 0.5
+    assert np.isfinite(found.amplitudes).sum() == len(second.stamps)
+
+
 def good(**changes):
     return Sensor(**{'frames': np.zeros((3, 9, 9)), 'stamps': np.arange(3.0), **changes})
 
@@ -169,6 +177,14 @@ def good(**changes):
     (lambda: [good(), good(affine=[[1, 0, 1e5], [0, 1, 0]])], 'near each other'),
     (lambda: [good(psf=np.ones((3, 3)), psf_sigma_px=1.0)], 'got both'),
     (lambda: [good(noise_sigma=0.0)], 'noise_sigma'),
+    (lambda: [good(noise_sigma='one')], "noise_sigma of sensor 0 must be .* above 0, got 'one'"),
+    (lambda: [good(psf_sigma_px='one')], 'psf_sigma_px of sensor 0 must be a number'),
+    (lambda: [good(), good(affine=[[1, 0, 1e30], [0, 1, 0]])], 'near each other'),
+    (lambda: [good(affine=1j * np.eye(2, 3))], 'affine of sensor 0 must be real numbers'),
+    (lambda: [good(stamps=1j * np.arange(3))], 'stamps of sensor 0 must be real numbers'),
+    (lambda: good(), 'must be a list of Sensor, got Sensor'),
+    (lambda: [np.zeros((3, 9, 9))], 'must be a list of Sensor, got ndarray at 0'),
+    (lambda: [good(frames=np.full((3, 9, 9), np.nan))], 'no pixel of the 3 frames is finite'),
 ])
 def test_sensors_that_cannot_be_used_are_refused_in_one_sentence(made, words):
     with pytest.raises((DataError, ParameterError), match=words):

@@ -91,6 +91,7 @@ class SensorArray:
     """
 
     def __init__(self, sensors: Sequence[Sensor], options: DetectorOptions):
+        _check_kind(sensors)
         if not len(sensors):
             raise DataError('sensors must hold at least one sensor, got none')
         self._frames = [_checked_frames(n, sensor) for n, sensor in enumerate(sensors)]
@@ -130,13 +131,13 @@ class SensorArray:
             own = np.array([(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)])
             corners.append(geometry.apply(matrix, own))
         first = np.floor(np.min(corners, axis=(0, 1)) + 1e-6)
-        width, height = (np.ceil(np.max(corners, axis=(0, 1)) - 1e-6) - first + 1).astype(int)
+        width, height = np.ceil(np.max(corners, axis=(0, 1)) - 1e-6) - first + 1
         seen = sum(abs(np.linalg.det(matrix[:2, :2])) * shape[0] * shape[1] for matrix, shape in
                    zip(geometry.inverse(self._from_plane), self.shapes, strict=True))
         if width * height > MOST_PLANE_PER_SENSORS * seen:
             raise DataError(
-                f'the sensors see {seen:.3g} pixels of a plane of {width} x {height}: their '
-                'affine maps must lead to places near each other')
+                f'the sensors see {seen:.3g} pixels of a plane of {width:.9g} x {height:.9g}: '
+                'their affine maps must lead to places near each other')
         return first, (int(height), int(width))
 
 
@@ -166,6 +167,9 @@ class SensorPipeline:
         weights = np.zeros(batch.frames.shape, np.float32)
         for sensor in np.unique(view.sensor):
             rows = np.flatnonzero(view.sensor == sensor)
+            if not np.isfinite(batch.frames[rows]).any():
+                # It looks away; the others go on.
+                continue
             prepared = self._prepared(batch, rows, int(sensor))
             height, width = view.shapes[sensor]
             frames[rows, :height, :width] = prepared.frames
@@ -173,6 +177,8 @@ class SensorPipeline:
             weights[rows, :height, :width] = 1.0 if plain else prepared.weights
             units[rows, :height, :width] = self._array.noise_sigmas[sensor] * (
                 prepared.noise_level if plain else prepared.unit)
+        if not weights.any():
+            raise DataError(f'no pixel of the {len(batch)} frames is finite')
         detector = DETECTORS[self._options.detector](self._options, view)
         on_plane = np.tile(geometry.translations(self._array.origin[None]), (len(batch), 1, 1))
         detector.earlier = carried_over(self._before, batch.frame_indices, on_plane)
@@ -241,6 +247,21 @@ def _check(options):
             'constant in the units of one sensor is not in those of another')
 
 
+def _check_kind(sensors):
+    """Refuse what is no sequence of sensors."""
+    if not isinstance(sensors, Sequence):
+        raise DataError(
+            f'sensors must be a list of Sensor, got {type(sensors).__name__}')
+    for number, sensor in enumerate(sensors):
+        if not isinstance(sensor, Sensor):
+            raise DataError(
+                f'sensors must be a list of Sensor, got {type(sensor).__name__} at {number}')
+
+
+def _is_number(value):
+    return isinstance(value, (int, float, np.integer, np.floating))
+
+
 def _checked_frames(number, sensor):
     try:
         frames = np.asarray(sensor.frames)
@@ -252,17 +273,21 @@ def _checked_frames(number, sensor):
     if frames.dtype.kind not in 'iuf':
         raise DataError(
             f'frames of sensor {number} must hold real numbers, got {frames.dtype}')
-    if not (math.isfinite(sensor.noise_sigma) and sensor.noise_sigma > 0):
-        raise ParameterError(f'noise_sigma of sensor {number} must be above 0, got '
+    if not (_is_number(sensor.noise_sigma) and 0 < sensor.noise_sigma < math.inf):
+        raise ParameterError(f'noise_sigma of sensor {number} must be a number above 0, got '
                              f'{sensor.noise_sigma!r}')
     return frames
 
 
 def _checked_stamps(number, sensor, n_frames):
     try:
-        stamps = np.asarray(sensor.stamps, float)
+        stamps = np.asarray(sensor.stamps)
     except (TypeError, ValueError) as error:
         raise DataError(f'stamps of sensor {number} must be numbers: {error}') from error
+    if stamps.dtype.kind not in 'iuf':
+        raise DataError(
+            f'stamps of sensor {number} must be real numbers (seconds), got {stamps.dtype}')
+    stamps = stamps.astype(float)
     if stamps.shape != (n_frames,):
         raise DataError(f'stamps of sensor {number} must have shape ({n_frames},), got '
                         f'{stamps.shape}')
@@ -278,6 +303,9 @@ def _psf(number, sensor, options) -> Psf:
         return ArrayPsf(sensor.psf)
     if sensor.psf_sigma_px is None:
         return psf_of(options)
+    if not _is_number(sensor.psf_sigma_px):
+        raise ParameterError(
+            f'psf_sigma_px of sensor {number} must be a number, got {sensor.psf_sigma_px!r}')
     return GaussianPsf(sensor.psf_sigma_px)
 
 
@@ -286,11 +314,15 @@ def _to_plane(number, sensor):
     matrix = np.eye(3)
     if sensor.affine is not None:
         try:
-            matrix[:2] = np.asarray(sensor.affine, float).reshape(2, 3)
+            affine = np.asarray(sensor.affine)
         except (TypeError, ValueError) as error:
             raise ParameterError(
-                f'affine of sensor {number} must have shape (2, 3), got '
-                f'{np.shape(sensor.affine)}') from error
+                f'affine of sensor {number} must be an array: {error}') from error
+        if affine.size != 6 or affine.dtype.kind not in 'iuf':
+            raise ParameterError(
+                f'affine of sensor {number} must be real numbers of shape (2, 3), got '
+                f'{affine.dtype} of shape {affine.shape}')
+        matrix[:2] = affine.reshape(2, 3)
     if not (np.all(np.isfinite(matrix)) and abs(np.linalg.det(matrix)) > 1e-9):
         raise ParameterError(
             f'affine of sensor {number} must be finite and invertible, got {matrix[:2].tolist()}')
