@@ -31,6 +31,9 @@ def test_bad_frames_are_named(frames, message):
     pytest.param([0.0, 1, 1, 2], 'increase', id='repeated'),
     pytest.param(['a'] * 4, 'stamps must be an array of numbers', id='text'),
     pytest.param([0.0, 1, np.nan, 2], 'finite.*nan', id='not finite'),
+    pytest.param(np.arange(4) + 1j, 'real.*complex128', id='complex'),
+    pytest.param(1e-310 * np.arange(4), 'must be 1e-12 to 1e.12 s apart, got', id='too near'),
+    pytest.param(1e300 * np.arange(4), 'must be 1e-12 to 1e.12 s apart, got', id='too far'),
 ])
 def test_bad_stamps_are_named(stamps, message):
     with pytest.raises(tbd.DataError, match=message):
@@ -54,6 +57,25 @@ def test_bad_stamps_are_named(stamps, message):
 def test_bad_options_are_named(options, message):
     with pytest.raises(tbd.ParameterError, match=message):
         tbd.detect(FRAMES, **options)
+
+
+@pytest.mark.parametrize('value', [1e9, -1e30])
+def test_pixel_beside_which_the_noise_is_lost_to_rounding_is_named(value):
+    frames = FRAMES.copy()
+    frames[2, 5, 7] = value
+    with pytest.raises(tbd.DataError, match='1e.08 times their noise.*frame 2 .* x = 7, y = 5'):
+        tbd.detect(frames, threshold=8)
+
+
+def test_mask_the_wrong_way_round_is_refused():
+    with pytest.raises(tbd.DataError, match='mask must be 0 where a pixel holds data'):
+        tbd.detect(FRAMES, threshold=8, mask=np.ones((16, 16), bool))
+
+
+def test_doppler_that_leaves_the_map_at_once_is_refused():
+    with pytest.raises(tbd.ParameterError, match='height of a map, 16 bins,.* got 1e.06 bins/s'):
+        tbd.detect(FRAMES, threshold=8, motion_model='range_doppler',
+                   range_bins_per_doppler_bin=1e6)
 
 
 def test_absurd_speed_is_cut_to_what_can_be_searched(caplog):

@@ -76,10 +76,13 @@ def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = '
             f'frames must have shape (T, H, W) with no empty side, got {array.shape}')
     if array.dtype == bool or not np.issubdtype(array.dtype, np.number):
         raise DataError(f'frames must hold numbers, got {array.dtype}')
-    times = np.arange(float(len(array))) if stamps is None else _as_array('stamps', stamps, float)
+    times = np.arange(len(array)) if stamps is None else _as_array('stamps', stamps)
+    if times.dtype.kind not in 'iuf':
+        raise DataError(
+            f'stamps must be an array of numbers, real and in seconds, got {times.dtype}')
     if times.shape != (len(array),):
         raise DataError(f'stamps must have shape ({len(array)},), got {times.shape}')
-    return detect_recording(_ArrayRecording(array, times), settings, progress)
+    return detect_recording(_ArrayRecording(array, times.astype(float)), settings, progress)
 
 
 def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
@@ -135,8 +138,8 @@ def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
     return detect_recording(array, settings, progress, SensorPipeline(array, settings))
 
 
-def _as_array(name, values, dtype=None):
+def _as_array(name, values):
     try:
-        return np.asarray(values, dtype)
+        return np.asarray(values)
     except (TypeError, ValueError) as error:
         raise DataError(f'{name} must be an array of numbers: {error}') from error

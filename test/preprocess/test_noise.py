@@ -81,3 +81,8 @@ def test_correlated_noise_leaves_the_matched_filter_at_unit_variance(sigma_px):
 def test_white_noise_needs_no_correction():
     frames = np.random.default_rng(5).normal(size=(8, 64, 64))
     assert correlation_factor(frames, 1.0) == 1.0
+
+
+def test_the_map_of_constant_pixels_without_a_floor_is_zero_in_silence():
+    with np.errstate(all='raise'):
+        assert np.all(pixel_level(np.full((6, 8, 8), 5.0)) == 0)

@@ -29,6 +29,9 @@ from track_before_detect.types import FrameBatch
 
 _QUANTISED_FLOOR = 0.3  # of a grey level: rounding alone adds 1/sqrt(12)
 
+# Single precision has 24 bits.
+MOST_OVER_NOISE = 1e8
+
 _LEAST_FRAMES = 3  # that tell what stands still from what moves
 _LEAST_MESH_PX = 12  # cells this small follow the shading of a lens under a panning camera
 _MESH_SIGMAS = 8  # side of a cell, of which a target must cover little
@@ -154,6 +157,7 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
         maps = geometry.translations(np.rint(maps[:, :2, 2]) + 0.0)  # no negative zero
     if options.registration != 'none':
         frames = _on_plane(frames, maps, options.registration)
+    _check_size(frames)
     weights, unit = None, 1.0
     if level.shape[1:] != (1, 1):
         weights, unit = pixel_weights(level, frames.shape)
@@ -212,6 +216,19 @@ def _checked_frames(raw, batch):
             raise DataError(f'no pixel of the {len(raw)} frames is finite')
         frames[masked] = complex(np.nan, np.nan) if kind is np.complex64 else np.nan
     return frames
+
+
+def _check_size(frames):
+    """Refuse pixels beside whose rounding the noise would not be seen."""
+    parts = frames.view(np.float32) if np.iscomplexobj(frames) else frames
+    for sign in (1, -1):
+        if np.any(sign * parts > MOST_OVER_NOISE):
+            size = np.abs(np.nan_to_num(frames, nan=0.0))
+            t, y, x = np.unravel_index(int(np.argmax(size)), size.shape)
+            raise DataError(
+                f'pixels must be at most {MOST_OVER_NOISE:g} times their noise, got '
+                f'{size[t, y, x]:g} times in frame {t} of a batch at x = {x}, y = {y}: scale the '
+                'frames, set noise=robust, or mask pixels that hold no data')
 
 
 def _mesh_px(width_px):

@@ -105,6 +105,8 @@ def pixel_level(frames: NDArray, floor: float = 0.0) -> NDArray:
     level = np.sqrt(np.where(known, mean, np.nan))
     overall = robust_deviation(centred, floor)
     level = np.maximum(level, max(floor, 1e-3 * overall))
+    if not np.any(level > 0):
+        return level[None]
     scale = robust_deviation(centred / level)
     return np.maximum(level * (scale or 1.0), floor)[None]
 

@@ -12,7 +12,10 @@ from track_before_detect.types import FrameBatch
 
 def masked_pixels(given: GivenArray, batch: FrameBatch) -> NDArray[np.bool_]:
     """Return which pixels of a batch hold no data, shape (T, H, W) or (1, H, W)."""
-    return _of_batch('mask', given, batch) != 0
+    masked = _of_batch('mask', given, batch) != 0
+    if masked.all() and np.all(given.array):
+        raise DataError('mask must be 0 where a pixel holds data, got one that is 0 nowhere')
+    return masked
 
 
 def given_level(given: GivenArray, batch: FrameBatch) -> NDArray[np.float64]:

@@ -194,6 +194,11 @@ class PathDetector(BatchDetector):
         options, interval = self.options, median_interval(stamps)
         assert options.range_bins_per_doppler_bin is not None
         rows_per_column = options.range_bins_per_doppler_bin * interval
+        if abs(rows_per_column) > shape[0]:
+            raise ParameterError(
+                'range_bins_per_doppler_bin must move a target by at most the height of a map, '
+                f'{shape[0]} bins, in one interval of {interval:g} s, got '
+                f'{options.range_bins_per_doppler_bin:g} bins/s')
         acceleration = options.max_acceleration_px_s2
         if acceleration is None:
             acceleration = abs(rows_per_column) / (INTERVALS_TO_NEXT_DOPPLER * interval**2)

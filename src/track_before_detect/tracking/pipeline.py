@@ -27,6 +27,8 @@ from track_before_detect.types import DetectionResult, FrameBatch, Progress, Tra
 _LOG = logging.getLogger(__name__)
 # A spread of the pixels above which noise=none must be an oversight.
 MOST_SPREAD = 3.0
+# Median interval of frames beyond which stamps cannot be seconds.
+INTERVALS_S = (1e-12, 1e12)
 
 # The detectors by the names in options.DETECTORS.
 DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
@@ -181,6 +183,12 @@ def _check(batch):
         at = int(backward[0])
         raise DataError(f'stamps must increase, got {stamps[at]:g} s and then '
                         f'{stamps[at + 1]:g} s at frame {at + 1}')
+    if len(stamps) > 1:
+        interval = float(np.median(np.diff(stamps)))
+        least, most = INTERVALS_S
+        if not least <= interval <= most:
+            raise DataError(f'stamps must be {least:g} to {most:g} s apart, got a median '
+                            f'interval of {interval:g} s')
 
 
 def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch,
