@@ -104,7 +104,6 @@ def test_statistics_of_noise_have_unit_variance_through_the_maps():
 def test_two_sensors_find_what_neither_finds_alone(monkeypatch, tmp_path):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     monkeypatch.setattr(threshold, 'MOST_CROPS', 100)
-    monkeypatch.setattr(threshold, 'N_TAIL', 30)
     found = []
     for seed in range(8):
         pair = sensors(seed, 2.0, n_frames=5)
