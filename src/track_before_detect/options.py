@@ -114,8 +114,9 @@ class DetectorOptions:
         above=0.0, optional=True)
     continuation: tuple[float, ...] = _option(
         DEFAULT_CONTINUATION, 'Values of t from 1 (convex) to 0 (combinatorial), any list that '
-        'ends with its smallest: 1 alone solves the convex problem with a certificate, 0 alone '
-        'the combinatorial one from nothing.',
+        'ends with its smallest: 1 alone solves the convex problem with a certificate, over the '
+        'paths of the grid, so that a target between them has to be up to a tenth brighter; 0 '
+        'alone the combinatorial one from nothing.',
         kind='numbers', minimum=0.0, maximum=1.0)
     batch_length: int | None = _option(
         None, 'Frames searched together; automatic is the whole recording, and 20 in the node.',
@@ -137,7 +138,8 @@ class DetectorOptions:
     variance: GivenArray | None = _option(
         None, 'Variance of the noise of each pixel, an array (H, W) or (frames, H, W) or a file '
         '(.npy, .npz or an image); with noise=robust its scale does not matter. Where it is not '
-        'finite a pixel counts as masked.', kind='array', optional=True)
+        'finite a pixel counts as masked. Multiplied by w^2 it weighs paths by a diagonal W: the '
+        'threshold then is on |W^-1 h|.', kind='array', optional=True)
     mask: GivenArray | None = _option(
         None, 'Pixels that hold no data, an array (H, W) or (frames, H, W) or a file (.npy, .npz '
         'or an image); masked where it is not 0.', kind='array', optional=True)

@@ -116,8 +116,12 @@ def fit_paths(frames: NDArray, paths: NDArray, *, psf: NDArray | GaussianPsf, la
     tol : float
         Duality gap at which to stop, over the objective.
     weights : array, shape (T,) or (P, T), optional
-        Diagonal of W: a path has a norm above zero only if the norm of its matched filter
-        statistic, over the weight of each frame, passes t lam.
+        Diagonal of W: a lone path with matched filter statistic h has a norm above zero only if
+        |W^-1 h| passes t lam, and then x_k = h_k / (1 + t lam w_k^2 / |W x|) in frame k.
+        The data are measured as without weights. The option ``variance`` of the detector, which
+        has the same condition at t = 1, measures them by w^-2 as well: there x_k =
+        h_k (1 - t lam / |W^-1 h|), the same where all w_k are. Frames divided by w, and the
+        amplitudes multiplied by it, give that here.
     method : str
         How the paths of the working set are solved: ``"newton"``, sweeps of path-wise descent and
         Newton steps; ``"descent"``, sweeps alone (Patent, Algorithm 3), with the closed form of
