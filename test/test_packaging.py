@@ -97,6 +97,15 @@ sys.exit(main(['simulate', '--list']))
     assert 'eo_ir_drones' in done.stdout
 
 
+def test_detectors_load_without_the_slow_parts_of_scipy():
+    program = 'import sys, track_before_detect.tracking.pipeline; print(*sys.modules)'
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
+                          cwd=SOURCE.parent, timeout=120, check=True)
+    loaded = done.stdout.split()
+    assert 'scipy.ndimage' in loaded
+    assert not {'scipy.stats', 'scipy.signal'} & set(loaded)
+
+
 def manifest():
     path = ROOT / 'package.xml'
     if not path.exists():

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from track_before_detect.models.state_graph import StateGraph
 from track_before_detect.solvers.blob import Blob, BlobFitter, together
@@ -140,8 +140,8 @@ class GhostSearch:
         n_numbers = model.n_numbers(len(paths.frames))
         chance_of_shape = CHANCE if n_axes > 1 else CHANCE_ON_A_LINE
         return all(
-            energy - blob.energy <= 0.5 * chi2.isf(
-                chance, (len(members) - 1) * (numbers + PER_AXIS * n_axes) - blob.n_shares)
+            energy - blob.energy <= 0.5 * chdtri(
+                (len(members) - 1) * (numbers + PER_AXIS * n_axes) - blob.n_shares, chance)
             for energy, numbers, chance in (
                 (in_proportion, 1, chance_of_shape), (free, n_numbers, CHANCE_FREE)))
 
