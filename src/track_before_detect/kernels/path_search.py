@@ -36,6 +36,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.borrowed import borrowed
+from track_before_detect.kernels.turn_rows import MOST_ROWS, RUN_SIZE, turn_and_add
 
 ABSENT = np.float32(-1e30)
 # Blocks of positions in a row, one for each bit of a mark.
@@ -134,33 +135,6 @@ def _add_four(out, o, source, a, b, c, d, n):
 
 
 @numba.njit(**_COMPILE)
-def _turn_and_add(out, o, turns, here, left, right, cost, source, a, n):
-    for x in range(_U(n)):
-        beside = turns[left + x] if turns[left + x] > turns[right + x] else turns[right + x]
-        beside -= cost
-        best = turns[here + x] if turns[here + x] > beside else beside
-        out[o + x] = best + source[a + x]
-
-
-@numba.njit(**_COMPILE)
-def _turn_and_add_two(out, o, turns, here, left, right, cost, source, a, b, n):
-    for x in range(_U(n)):
-        beside = turns[left + x] if turns[left + x] > turns[right + x] else turns[right + x]
-        beside -= cost
-        best = turns[here + x] if turns[here + x] > beside else beside
-        out[o + x] = best + (source[a + x] + source[b + x])
-
-
-@numba.njit(**_COMPILE)
-def _turn_and_add_four(out, o, turns, here, left, right, cost, source, a, b, c, d, n):
-    for x in range(_U(n)):
-        beside = turns[left + x] if turns[left + x] > turns[right + x] else turns[right + x]
-        beside -= cost
-        best = turns[here + x] if turns[here + x] > beside else beside
-        out[o + x] = best + ((source[a + x] + source[b + x]) + (source[c + x] + source[d + x]))
-
-
-@numba.njit(**_COMPILE)
 def raise_row(out, o, source, a, n, cost):
     """Raise out[o + x] to source[a + x] - cost where that is more."""
     for x in range(_U(n)):
@@ -214,7 +188,7 @@ def _add_scores(out, o, scores, offsets, v, start, n, t):
 
 
 @numba.njit(**_COMPILE)
-def _turn_x(turns, wanted, source, before, velocity_at, reach, cost, n_blocks, block, lanes):
+def _turn_x(turns, wanted, source, before, velocity_at, reach, cost, block, lanes):
     """Write to ``turns`` the best within reach along v_x, less the cost a step, where wanted.
 
     The cost of a turn is the sum of its steps in v_x and v_y, so the maximum over the square of
@@ -224,6 +198,7 @@ def _turn_x(turns, wanted, source, before, velocity_at, reach, cost, n_blocks, b
     wanted : uint64 (S,), blocks
     source : int64 (V + 1,), where before[] holds the best paths that arrive at x = 0
     """
+    n_blocks = (lanes + block - 1) // block
     for slot in range(velocity_at.size):
         b, end = run_of_blocks(wanted[slot], 0, n_blocks)
         while b < BLOCKS:
@@ -242,6 +217,19 @@ def _turn_x(turns, wanted, source, before, velocity_at, reach, cost, n_blocks, b
 
 
 @numba.njit(**_COMPILE)
+def _turn_y(out, o, turns, here, step, reach, cost, n):
+    """Write to out[o + x] the best within reach along v_y of what ``_turn_x`` wrote.
+
+    ``here`` is the flat index in ``turns`` of the first state, ``step`` the distance of rows of
+    velocities there.
+    """
+    best_of_three(out, o, turns, _U(here), _U(here - step), _U(here + step), n, cost)
+    for k in range(2, reach + 1):
+        raise_row(out, o, turns, _U(here - k * step), n, np.float32(k) * cost)
+        raise_row(out, o, turns, _U(here + k * step), n, np.float32(k) * cost)
+
+
+@numba.njit(**_COMPILE)
 def _find_sources(source, y, arrival, n_y, stride, pad, guard):
     """Write to source[v] where the best paths of velocity v that arrive in row y are held."""
     n_v = arrival.shape[0]
@@ -254,38 +242,100 @@ def _find_sources(source, y, arrival, n_y, stride, pad, guard):
 
 
 @numba.njit(**_COMPILE)
-def _turn_y_and_go(out, o, turns, here, step, reach, cost, scores, offsets, v, first, n):
-    """Write to out[o + x] the best turn and the weights met along the segment.
+def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets, n_frames):
+    """Write to ``run`` what ``turn_and_add`` reads and writes, for n velocities from ``slot``."""
+    for k in range(n + 2):
+        here = slot + (k - 1) * columns
+        run[3 * k] = source[velocity_at[here]]
+        run[3 * k + 1] = source[velocity_at[here - 1]]
+        run[3 * k + 2] = source[velocity_at[here + 1]]
+    for k in range(n):
+        v = velocity_at[slot + k * columns]
+        run[3 * (n + 2) + k] = place + v * step
+        for t in range(n_frames):
+            run[4 * n + 6 + k * n_frames + t] = first + offsets[v, t]
 
-    ``here`` is the flat index in ``turns`` of the first state, ``step`` the distance of rows of
-    velocities there, ``first`` the flat index of the position in a frame.
+
+@numba.njit(**_COMPILE)
+def _extend_row(out, place, step, y, marks, m, before, scores, offsets, first_y, last_y, arrival,
+                slots, velocity_at, columns, reach, cost, layout, source, wanted, turns, run):
+    """Extend the best paths by one segment in row ``y``, where marks[m] says so.
+
+    The row of velocity v is written from out[place + v * step] on. The arrays are those of a
+    ``Segment``, then work space, see ``_work_space``.
     """
+    n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
+    n_blocks = (lanes + block - 1) // block
+    starting = before.size == 0
+    near = reach == 1 and not starting
+    # How many neighbours along v_y are computed together, and frames added at once.
+    most = MOST_ROWS if near else 1
     n_frames = offsets.shape[1]
     done = 0
-    if turns.size == 0:
-        fill_row(out, o, n, np.float32(0))
-    elif reach > 1:
-        best_of_three(out, o, turns, _U(here), _U(here - step), _U(here + step), n, cost)
-        for k in range(2, reach + 1):
-            raise_row(out, o, turns, _U(here - k * step), n, np.float32(k) * cost)
-            raise_row(out, o, turns, _U(here + k * step), n, np.float32(k) * cost)
-    # The common case in one loop, which spares a pass over the row.
-    elif n_frames >= 4:
-        _turn_and_add_four(out, o, turns, _U(here), _U(here - step), _U(here + step),
-                           cost, scores, _U(first + offsets[v, 0]),
-                           _U(first + offsets[v, 1]), _U(first + offsets[v, 2]),
-                           _U(first + offsets[v, 3]), n)
-        done = 4
-    elif n_frames >= 2:
-        _turn_and_add_two(out, o, turns, _U(here), _U(here - step), _U(here + step),
-                          cost, scores, _U(first + offsets[v, 0]),
-                          _U(first + offsets[v, 1]), n)
-        done = 2
-    else:
-        _turn_and_add(out, o, turns, _U(here), _U(here - step), _U(here + step), cost,
-                      scores, _U(first + offsets[v, 0]), n)
-        done = 1
-    _add_scores(out, o, scores, offsets, v, first, n, done)
+    if near:
+        done = 4 if n_frames >= 4 else 2 if n_frames >= 2 else 1
+    first = pad + y * stride
+    if not starting:
+        _find_sources(source, y, arrival, n_y, stride, pad, guard)
+        if reach > 1:
+            wanted[:] = 0
+            for v in range(n_v):
+                for k in range(-reach, reach + 1):
+                    wanted[slots[v] + k * columns] |= marks[m, v]
+            _turn_x(turns, wanted, source, before, velocity_at, reach, cost, block, lanes)
+    for column in range(columns):
+        slot = column
+        while slot < velocity_at.size:
+            v = velocity_at[slot]
+            if v == n_v:
+                slot += columns
+                continue
+            inside = first_y[v] <= y < last_y[v]
+            n = 1
+            while n < most:
+                other = velocity_at[slot + n * columns]
+                if (other == n_v or marks[m, other] != marks[m, v]
+                        or (first_y[other] <= y < last_y[other]) != inside):
+                    break
+                n += 1
+            if near and inside:
+                _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets,
+                          done)
+            b, end = run_of_blocks(marks[m, v], 0, n_blocks)
+            while b < BLOCKS:
+                start = b * block
+                stop = min(end * block, lanes)
+                if near and inside:
+                    turn_and_add(out, before, scores, run, n, done, cost, start, stop)
+                for k in range(n):
+                    other = velocity_at[slot + k * columns]
+                    o = place + other * step
+                    if not inside:
+                        fill_row(out, _U(o + start), stop - start, ABSENT)
+                        continue
+                    if starting:
+                        fill_row(out, _U(o + start), stop - start, np.float32(0))
+                    elif reach > 1:
+                        _turn_y(out, _U(o + start), turns, slot * lanes + start, columns * lanes,
+                                reach, cost, stop - start)
+                    # Not called for nothing: a call takes as long as adding fifty numbers.
+                    if done < n_frames:
+                        _add_scores(out, _U(o + start), scores, offsets, other, first + start,
+                                    stop - start, done)
+                    for x in range(n_x, stop):
+                        out[o + x] = ABSENT
+                b, end = run_of_blocks(marks[m, v], end, n_blocks)
+            slot += n * columns
+
+
+@numba.njit(**_COMPILE)
+def _work_space(before, segment, layout):
+    """Return source, wanted, turns and run of ``_extend_row``."""
+    n_slots = segment.velocity_at.size
+    far = before.size > 0 and segment.reach > 1
+    return (np.empty(layout.n_v + 1, np.int64), np.empty(n_slots, np.uint64),
+            np.full(n_slots * layout.lanes if far else 0, ABSENT),
+            np.empty(RUN_SIZE, np.int64))
 
 
 @numba.njit(**_COMPILE)
@@ -299,45 +349,20 @@ def extend_paths(value, before, scores, segment, layout, marks, first_row, last_
     """
     # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed``.
     value, before, scores = borrowed(value), borrowed(before), borrowed(scores)
-    offsets = borrowed(segment.offsets)
+    offsets, marks = borrowed(segment.offsets), borrowed(marks)
     # Taken out once: each use of a tuple that holds arrays updates their reference counts.
     first_y, last_y = segment.first_y, segment.last_y
     arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
     columns, reach, cost = segment.columns, segment.reach, segment.cost
-    n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
-    starting = before.size == 0
-    n_blocks = (lanes + block - 1) // block
-    turns = np.full(0 if starting else velocity_at.size * lanes, ABSENT)
-    wanted = np.empty(velocity_at.size, np.uint64)
-    source = np.empty(n_v + 1, np.int64)
+    source, wanted, turns, run = _work_space(before, segment, layout)
     for y in range(first_row, last_row):
-        wanted[:] = 0
         some = _U(0)
-        for v in range(n_v):
+        for v in range(layout.n_v):
             some |= marks[y, v]
-            for k in range(-reach, reach + 1):
-                wanted[slots[v] + k * columns] |= marks[y, v]
-        if some == 0:
-            continue
-        if not starting:
-            _find_sources(source, y, arrival, n_y, stride, pad, guard)
-            _turn_x(turns, wanted, source, before, velocity_at, reach, cost, n_blocks, block,
-                    lanes)
-        for v in range(n_v):
-            row = guard + (y * n_v + v) * stride
-            b, end = run_of_blocks(marks[y, v], 0, n_blocks)
-            while b < BLOCKS:
-                start = b * block
-                stop = min(end * block, lanes)
-                if first_y[v] <= y < last_y[v]:
-                    _turn_y_and_go(value, _U(row + start), turns, slots[v] * lanes + start,
-                                   columns * lanes, reach, cost, scores, offsets, v,
-                                   pad + y * stride + start, stop - start)
-                    for x in range(n_x, stop):
-                        value[row + x] = ABSENT
-                else:
-                    fill_row(value, _U(row + start), stop - start, ABSENT)
-                b, end = run_of_blocks(marks[y, v], end, n_blocks)
+        if some:
+            _extend_row(value, layout.guard + y * layout.n_v * layout.stride, layout.stride, y,
+                        marks, y, before, scores, offsets, first_y, last_y, arrival, slots,
+                        velocity_at, columns, reach, cost, layout, source, wanted, turns, run)
 
 
 @numba.njit(**_COMPILE)
@@ -353,37 +378,25 @@ def finish_paths(best, before, scores, segment, layout, marks, first_row, last_r
     first_y, last_y = segment.first_y, segment.last_y
     arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
     columns, reach, cost = segment.columns, segment.reach, segment.cost
-    n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
-    starting = before.size == 0
-    n_blocks = (lanes + block - 1) // block
+    n_v, n_x, lanes = layout.n_v, layout.n_x, layout.lanes
+    n_blocks = (lanes + layout.block - 1) // layout.block
     flat_best = best.reshape(best.size)
-    turns = np.full(0 if starting else velocity_at.size * lanes, ABSENT)
-    wanted = np.empty(velocity_at.size, np.uint64)
-    source = np.empty(n_v + 1, np.int64)
-    value = np.empty(lanes, np.float32)
-    top = np.empty(lanes, np.float32)
+    source, wanted, turns, run = _work_space(before, segment, layout)
+    value = np.empty(n_v * lanes, np.float32)
+    same = np.empty((1, n_v), np.uint64)
     for y in range(first_row, last_row):
         if not marks[y]:
             continue
-        if not starting:
-            wanted[:] = 0
-            for v in range(n_v):
-                for k in range(-reach, reach + 1):
-                    wanted[slots[v] + k * columns] = marks[y]
-            _find_sources(source, y, arrival, n_y, stride, pad, guard)
-            _turn_x(turns, wanted, source, before, velocity_at, reach, cost, n_blocks, block,
-                    lanes)
+        same[:] = marks[y]
+        _extend_row(value, 0, lanes, y, same, 0, before, scores, offsets, first_y, last_y,
+                    arrival, slots, velocity_at, columns, reach, cost, layout, source, wanted,
+                    turns, run)
         b, end = run_of_blocks(marks[y], 0, n_blocks)
         while b < BLOCKS:
-            start = b * block
-            n = min(end * block, lanes) - start
-            fill_row(top, _U(start), n, ABSENT)
+            start = b * layout.block
+            n = min(end * layout.block, n_x) - start
+            o = _U(y * n_x + start)
+            fill_row(flat_best, o, n, ABSENT)
             for v in range(n_v):
-                if first_y[v] <= y < last_y[v]:
-                    _turn_y_and_go(value, _U(start), turns, slots[v] * lanes + start,
-                                   columns * lanes, reach, cost, scores, offsets, v,
-                                   pad + y * stride + start, n)
-                    raise_row(top, _U(start), value, _U(start), n, np.float32(0))
-            copy_row(flat_best, _U(y * n_x + start), top, _U(start),
-                     min(n, n_x - start))
+                raise_row(flat_best, o, value, _U(v * lanes + start), n, np.float32(0))
             b, end = run_of_blocks(marks[y], end, n_blocks)
