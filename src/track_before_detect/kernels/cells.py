@@ -107,6 +107,18 @@ def number_cells(places, n_places):
 
 
 @numba.njit(**_COMPILE)
+def first_pixels(cell_place, cell_frame, origins, height, width):
+    """Return the flat index of the first pixel of the stamp of each cell, int64 (N,)."""
+    starts = np.empty(cell_place.size, np.int64)
+    for c in range(cell_place.size):
+        place = cell_place[c]
+        # In 64 bits, for batches of more than 2^31 pixels.
+        row = np.int64(cell_frame[c]) * height + origins[place, 1]
+        starts[c] = row * width + origins[place, 0]
+    return starts
+
+
+@numba.njit(**_COMPILE)
 def _normalise(stamp):
     total = 0.0
     for value in stamp.flat:

@@ -31,7 +31,7 @@ METHODS = {
     'admm': (admm.solve, 20000),
 }
 # Slots of the table that finds equal positions, as a power of two; sparse tables are fast.
-LEAST_TABLE_BITS = 18
+LEAST_TABLE_BITS = 16
 # New members of the working set in one round at least, and those looked at to choose them.
 FEWEST_NEW = 16
 CANDIDATES_PER_NEW = 20
@@ -275,9 +275,8 @@ class _Problem:
             self.stamps, self.origins = cell_kernels.mask_stamps(
                 self.stamps, self.origins, self.cell_place, self.cell_frame, valid)
             self.cell_place = np.arange(len(self.cell_place), dtype=np.int32)
-        # In 64 bits, for batches of more than 2^31 pixels.
-        x, y = self.origins[self.cell_place].T.astype(np.int64)
-        self.starts = (self.cell_frame * np.int64(height) + y) * width + x
+        self.starts = cell_kernels.first_pixels(self.cell_place, self.cell_frame, self.origins,
+                                                height, width)
 
     @property
     def n_paths(self):
@@ -346,7 +345,7 @@ class _WorkingSet:
             norms = np.sqrt(np.einsum('pdt,pdt->p', self._amplitudes, self._amplitudes))
             convex, gap, largest = self._price(residual, norms)
             if round_ == 0:
-                data_seen = self._seen.copy()
+                data_seen, self._seen = self._seen, np.empty_like(self._seen)
             done = gap <= tol * convex
             stuck = not grew and gap >= before
             if (done or stuck or round_ == MOST_ROUNDS - 1) and not self._all_priced:
@@ -442,8 +441,9 @@ class _WorkingSet:
     def _grow(self):
         """Add the paths that violate their bound most; True when there were any."""
         problem = self._problem
-        outside = self._statistics[self._near] > self._weight
-        violating = np.setdiff1d(self._near[outside], self._members, assume_unique=True)
+        violates = self._statistics > self._weight
+        violates[self._members] = False
+        violating = self._near[violates[self._near]]
         if not len(violating):
             return False
         most = max(FEWEST_NEW, len(self._members))
