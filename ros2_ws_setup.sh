@@ -371,7 +371,11 @@ main() {
             setup
             isolate_dds
             cd -- "$package_dir"
-            exec "$venv_python" -m pytest "$@"
+            # Without bytecode every node that a test starts would compile the package's modules.
+            unset PYTHONDONTWRITEBYTECODE
+            # "logical" becomes one process with --pdb, which cannot reach others.
+            exec "$venv_python" -m pytest \
+                --numprocesses logical --maxprocesses 2 --dist loadfile "$@"
             ;;
         build)
             setup

