@@ -96,7 +96,11 @@ def test_frames_that_cannot_have_a_noise_of_one_are_named(caplog):
         tbd.detect(FRAMES, threshold=9)
         assert not caplog.records
         tbd.detect(500 * FRAMES, threshold=9 * 500)
-    assert 'spread' in caplog.text and 'noise=robust' in caplog.text
+    assert 'spread of 4' in caplog.text and 'noise=robust' in caplog.text
+    caplog.clear()
+    with caplog.at_level(logging.WARNING):
+        tbd.detect(FRAMES + 80, threshold=9 * 500)
+    assert 'median of 80' in caplog.text and 'noise=robust' in caplog.text
 
 
 def test_input_is_left_as_it_was():

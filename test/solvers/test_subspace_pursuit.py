@@ -219,6 +219,16 @@ def test_more_paths_than_are_held_are_reported_as_a_limit(monkeypatch):
     assert len(result.paths) == 1
 
 
+@pytest.mark.parametrize('continuation', [[1.0], [1.0, 0.5, 0.0], [0.0]])
+def test_noise_far_above_one_ends_when_the_fits_have_taken_enough(continuation, monkeypatch):
+    monkeypatch.setattr(subspace_pursuit, 'MOST_WORK', 3e4)
+    noise = 5 * np.random.default_rng(3).standard_normal((T, H, W)).astype(np.float32)
+    result, _ = solve(noise, continuation)
+    assert result.status == 'iteration_limit'
+    # What begins before the limit is passed may be several fits of all paths.
+    assert 3e4 < result.paths.work < 3e4 + 5 * len(result.paths)**3
+
+
 def test_path_that_passes_only_off_the_grid_is_found():
     # A quarter of a pixel off on both axes, and slower than the grid by half a step.
     truth = straight(8.25, 10.25, 0.55, 0.0)

@@ -35,8 +35,8 @@ NOISE_PER_RUN = 4
 ACCURACY_SNRS = (5.0, 10.0, 30.0, 50.0)
 # Targets that are wider than the PSF that the detector is told.
 WIDE_SIGMA_PX = 1.3
-# Side of the frames in pixels, batches per run asked for, requested rates.
-ALARM_CASES = ((64, 20, (0.5, 0.05, 0.005)), (128, 8, (0.5, 0.05)), (256, 2, (0.5, 0.05)))
+# Side of the frames in pixels, batches per run asked for (rare events ask for most), rates.
+ALARM_CASES = ((64, 80, (0.5, 0.05, 0.005)), (128, 8, (0.5, 0.05)), (256, 2, (0.5, 0.05)))
 _COLOURS = ('#1f77b4', '#d62728')
 _GREY = '#8c8c8c'
 

@@ -59,6 +59,8 @@ class PathSet:
     amplitudes : array, shape (P, T)
     residual : float32 array, shape (T, H, W)
         Frames less the fit.
+    work : int
+        Of all fits so far: the sum of the cubes of their members, as a Newton step takes.
     """
 
     def __init__(self, frames: NDArray, weights: NDArray, psf: Psf | PlaneView,
@@ -93,6 +95,7 @@ class PathSet:
         self._overlaps = np.zeros((64, n_frames))
         self._free_rows = list(range(63, 0, -1))
         self.residual = frames.copy()
+        self.work = 0
         # Frame by frame, so that no copy of all frames in double precision is made.
         once = frames[:, :, :period]
         parts = (once.real, once.imag) if model.is_complex else (once,)
@@ -161,6 +164,7 @@ class PathSet:
         amplitudes : array, shape (len(members), T)
         converged : bool
         """
+        self.work += len(members)**3
         problem = self._problem(members)
         amplitudes, converged = fit_amplitudes(self.amplitudes[members], *problem, t_convex,
                                                self.model, self.energy, gap,

@@ -142,12 +142,13 @@ class TrackingPipeline:
             return
         if np.iscomplexobj(pixels):
             pixels = pixels.real * 2**0.5
-        spread = 1.4826 * float(np.median(np.abs(pixels - np.median(pixels))))
-        if spread > MOST_SPREAD:
+        middle = float(np.median(pixels))
+        spread = 1.4826 * float(np.median(np.abs(pixels - middle)))
+        if max(spread, abs(middle)) > MOST_SPREAD:
             _LOG.warning(
-                'the pixels have a spread of %.3g, where noise=none takes a noise of 1 and a '
-                'background of 0: set noise=robust, and background=temporal_median if the scene '
-                'shows', spread)
+                'the pixels have a median of %.3g and a spread of %.3g, where noise=none takes a '
+                'background of 0 and a noise of 1: set noise=robust, and '
+                'background=temporal_median if the scene shows', middle, spread)
 
     def _compile(self, progress):
         """Run every kernel once, on a target bright enough to pass through all stages."""
