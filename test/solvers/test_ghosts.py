@@ -56,6 +56,15 @@ def test_target_wider_than_the_psf_is_one_trajectory(sigma, snr, caplog):
     assert float(said[1]) == pytest.approx(sigma, abs=0.11)
 
 
+def test_target_is_found_by_a_psf_whose_energy_lies_beside_its_middle():
+    psf = np.zeros((7, 7), np.float32)
+    add_target(psf, 5.0, 4.0, 1.0, 1.0)
+    frames = scene([(LINE + np.array([2.0, 1.0]), 30.0, 1.3)], 5)
+    found = found_in(frames, psf=psf)
+    assert len(found) == 1 and found[0].statistic > 100
+    assert errors(found, LINE)[0] < 0.2
+
+
 def test_right_psf_is_not_doubted(caplog):
     with caplog.at_level(logging.WARNING):
         assert len(found_in(scene([(LINE, 50.0, 1.0)], 2))) == 1

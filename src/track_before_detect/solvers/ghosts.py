@@ -158,11 +158,24 @@ class GhostSearch:
         dropped = [_not_needed(paths, around, blobs)]
         for members, blob in found:
             blob.show(paths.residual, 1.0)
-            paths.move(members[0], blob.positions, blob.cost)
+            self._move(members[0], blob)
+            blob.show(paths.residual, -1.0)
             dropped.append(members[1:])
+        for blob in blobs:
+            blob.show(paths.residual, 1.0)
         for members, _ in found:
             _set(paths, members[0], paths.best(members[0]))
         paths.remove(np.concatenate(dropped))
+
+    def _move(self, path, blob):
+        """Put a path without amplitudes where its target is seen best."""
+        paths = self._paths
+        own = (paths.statistic(path, paths.seen_left(path)), paths.positions[path],
+               paths.costs[path])
+        paths.move(path, blob.positions, blob.cost)
+        # The middle of a target is not that of a PSF whose energy lies beside its own middle.
+        if paths.statistic(path, paths.seen_left(path)) < own[0]:
+            paths.move(path, own[1], own[2])
 
 
 def _not_needed(paths, around, blobs):
