@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.kernels.line_search import best_lines
+from track_before_detect.kernels.line_search import best_line_near, best_lines
 
 # Places per pixel.
 GRID = 2
@@ -79,17 +79,9 @@ class LineFilter:
         bend = np.linalg.norm(truth - truth.mean(axis=0) - self._times[:, None] * slope, axis=1)
         spread = (limit_px + bend.mean()) / np.abs(self._times).mean()
         near = np.hypot(*(self._velocities - slope).T) <= spread
-        best = -np.inf
-        sides = [scores.shape[2], scores.shape[1]]
-        for offsets in self._offsets[near]:
-            places = centres[:, None] + offsets
-            errors = np.linalg.norm(places / GRID - truth, axis=2).mean(axis=1)
-            inside = ((places >= 0) & (places < sides)).all(axis=(1, 2))
-            places = places[inside & (errors < limit_px)]
-            if len(places):
-                best = max(best, scores[np.arange(len(offsets)), places[..., 1],
-                                        places[..., 0]].sum(axis=1).max())
-        return self._statistic(float(best)) if np.isfinite(best) else None
+        best = best_line_near(scores, self._offsets[near], centres, GRID * truth,
+                              GRID * limit_px)
+        return self._statistic(best) if np.isfinite(best) else None
 
     def _scores(self, frames):
         """Return what adds up along a path on the grid, shape (T, GRID (H - 1) + 1, ...)."""

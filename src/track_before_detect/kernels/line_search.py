@@ -44,6 +44,40 @@ def best_lines(scores, offsets, row, best):
 
 
 @njit(cache=True, nogil=True)
+def best_line_near(scores, offsets, centres, truth, limit):
+    """Return the largest sum along a path that stays inside and near a target, -inf without one.
+
+    Parameters
+    ----------
+    scores : float32 array, shape (T, Y, X)
+        What is summed.
+    offsets : int array, shape (V, T, 2)
+        x and y from the centre, in places of the grid.
+    centres : int array, shape (C, 2)
+        x and y, tried for each velocity.
+    truth : float array, shape (T, 2)
+        Positions of the target, in places.
+    limit : float
+        A path is near when it is less than this away on average, in places.
+    """
+    n_frames, n_y, n_x = scores.shape
+    best = -np.inf
+    for v in range(len(offsets)):
+        for centre in centres:
+            total, distance, inside = 0.0, 0.0, True
+            for t in range(n_frames):
+                x, y = centre[0] + offsets[v, t, 0], centre[1] + offsets[v, t, 1]
+                if not (0 <= x < n_x and 0 <= y < n_y):
+                    inside = False
+                    break
+                distance += np.hypot(x - truth[t, 0], y - truth[t, 1])
+                total += scores[t, y, x]
+            if inside and distance < limit * n_frames:
+                best = max(best, total)
+    return best
+
+
+@njit(cache=True, nogil=True)
 def _add(row, values):
     for x in range(len(row)):
         row[x] += values[x]
