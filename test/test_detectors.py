@@ -53,6 +53,19 @@ def test_result_is_of_the_same_type(detector):
     assert np.nanmean(found.amplitudes) == pytest.approx(12, rel=0.2)
 
 
+@pytest.mark.parametrize('detector', ['convex', 'greedy'])
+def test_frames_without_data_have_no_amplitude_and_take_nothing_off_the_snr(detector):
+    frames = frames_with_a_target()
+    hidden = np.array([2, 3, 6])
+    frames[hidden] = np.nan
+    [found] = tbd.detect(frames, detector=detector, threshold=20.0).trajectories
+    assert np.isnan(found.amplitudes[hidden]).all()
+    shown = np.setdiff1d(np.flatnonzero(np.isfinite(found.positions[:, 0])), hidden)
+    assert len(shown) > 0.6 * len(frames) and np.isfinite(found.amplitudes[shown]).all()
+    assert np.mean(found.amplitudes[shown]) == pytest.approx(12, rel=0.2)
+    assert found.snr == pytest.approx(12, rel=0.2)
+
+
 @pytest.mark.parametrize('detector', ['convex', 'greedy', 'mt_dp', 'pc_dp', 'velocity_filter'])
 @pytest.mark.parametrize('upright', [False, True])
 def test_amplitude_in_frames_of_one_row_is_that_of_the_row(detector, upright):

@@ -48,7 +48,8 @@ class Trajectory:
     positions : array, shape (T, 2)
         Column x and row y in pixels of the original frames; pixel centres are integers.
     amplitudes : array, shape (T,)
-        Amplitude of the unit-norm point spread function, in the units of the input.
+        Amplitude of the unit-norm point spread function, in the units of the input. In frames that
+        hold no data where the target is, that of ``convex`` and ``greedy`` is NaN.
     velocity : array, shape (T, 2)
         Pixels per second.
     stamps : array, shape (T,)
@@ -59,7 +60,8 @@ class Trajectory:
         What is compared with the threshold; always above it for a reported trajectory.
     snr : float
         Mean over frames of the matched filter statistic, which has unit variance in noise: the
-        signal-to-noise ratio in one frame.
+        signal-to-noise ratio in one frame. ``convex`` and ``greedy`` leave out the frames that
+        hold no data where the target is.
     """
 
     id: int

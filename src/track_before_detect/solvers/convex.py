@@ -120,9 +120,10 @@ class ConvexDetector(PathDetector):
             seen = paths.seen(path)
             model = paths.model
             present = self.present(paths.positions[path], seen)
+            shown = present & paths.shown(path)
             found.append(FoundTrajectory(
                 np.where(present[:, None], paths.positions[path], np.nan),
                 np.where(present, paths.target_amplitudes(path), np.nan),
                 # Less its cost, so that every statistic meets the same threshold.
-                self.statistic(paths.value(path), len(seen)), model.snr(seen[present])))
+                self.statistic(paths.value(path), len(seen)), model.snr(seen[shown])))
         return sorted(found, key=lambda trajectory: -trajectory.statistic)

@@ -290,10 +290,15 @@ class PathSet:
     def target_amplitudes(self, path: int) -> NDArray:
         """Return the amplitudes of the target itself, of which a stamp may show a part, (T,).
 
-        Zero in a frame that shows nothing of it.
+        NaN in a frame that shows nothing of it.
         """
-        norms = self._norms[path] / self._whole_norm
-        return self.amplitudes[path] / np.where(norms > 0, norms, np.inf)
+        shown = self.shown(path)
+        norms = np.where(shown, self._norms[path] / self._whole_norm, 1.0)
+        return np.where(shown, self.amplitudes[path] / norms, np.nan)
+
+    def shown(self, path: int) -> NDArray[np.bool_]:
+        """Return which frames show something of a path, shape (T,): it is there and not masked."""
+        return self._norms[path] > 0
 
     def may_pass(self, positions: NDArray, cost: float) -> bool:
         """Return whether any path may pass its weight on the residual once it is refined."""

@@ -205,7 +205,8 @@ def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch,
     present = np.isfinite(positions[:, 0])
     nearest = np.rint(np.where(present[:, None], positions, 0.0))
     x, y = np.clip(nearest, 0, (width - 1, height - 1)).astype(int).T
-    amplitudes = found.amplitudes * np.nan_to_num(level[np.arange(n_frames), y, x], nan=0.0)
+    # Where the unit of a pixel is not known, because it is masked, the amplitude is not.
+    amplitudes = found.amplitudes * level[np.arange(n_frames), y, x]
     velocity = np.where(present[:, None], np.zeros(2), np.nan)
     if present.sum() > 1:
         moved = positions[present]
