@@ -7,6 +7,7 @@ import track_before_detect as tbd
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.convex import ConvexDetector
+from track_before_detect.solvers.motions import motions_of
 
 STAMPS = {
     'regular': np.arange(16.0),
@@ -71,3 +72,32 @@ def test_static_model_finds_what_stands_still_and_not_what_moves():
         add_target(frame, x, y, 1.0, 3.0)
     [trajectory] = tbd.detect(frames, stamps, threshold=9, motion_model='static').trajectories
     np.testing.assert_allclose(trajectory.positions, still, atol=0.3)
+
+
+@pytest.mark.parametrize('motion', ['nearly_constant_velocity', 'constant_velocity'])
+@pytest.mark.parametrize('n_frames', [10, 20, 60])
+def test_only_paths_longer_than_a_target_gets_cost_for_their_speed(motion, n_frames):
+    stamps = np.arange(float(n_frames))
+    graph = graph_of(motion, stamps, max_speed_px_s=0.5)
+    motions = motions_of(graph, stamps)
+
+    def cost(speed, angle=0.7):
+        return motions.overspeed_cost(
+            20 + stamps[:, None] * speed * np.array([np.cos(angle), np.sin(angle)]))
+
+    assert cost(0.5 - 1e-9) == cost(0.2) == cost(0.0) == 0
+    # By definition two and a half steps too long cost one turn, twice as much four turns.
+    excess = 2.5 * graph.step_px / (n_frames - 1)
+    assert cost(0.5 + excess) == pytest.approx(graph.turn_cost)
+    assert cost(0.5 + 2 * excess, 2.1) == pytest.approx(4 * graph.turn_cost)
+
+
+@pytest.mark.parametrize('speed', [1.0, 1.1])
+def test_target_a_little_faster_than_told_is_found_once(speed):
+    stamps = np.arange(20.0)
+    positions = (12.3, 9.8) + speed * stamps[:, None] * [0.8, 0.6]
+    for seed in range(5):
+        result = tbd.detect(frames_of(positions, (40, 48), 5.0, seed), stamps, threshold=9,
+                            max_speed_px_s=1.0)
+        [found] = result.trajectories
+        assert np.hypot(*(found.positions - positions).T).mean() < 0.3

@@ -80,7 +80,7 @@ def build_range_doppler_graph(stamps: NDArray, *, step_px: float, rows_per_colum
         end_moves[j] = displacement(knots[j], knots[j + 1])
     return StateGraph(
         step_px, knots, velocities, rate_step, min(1, len(rates) - 1) if n_segments > 1 else 1,
-        row_first, row_x, moves, end_moves, float(turn_cost),
+        row_first, row_x, moves, end_moves, float(turn_cost), math.inf,
         RangeDopplerCoupling(k, still_column, times))
 
 

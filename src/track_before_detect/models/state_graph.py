@@ -47,6 +47,9 @@ class StateGraph:
         Displacement over each segment.
     turn_cost : float
         What a change of velocity by one step costs a path, in units of its squared statistic.
+    max_speed : float
+        Largest speed of a target in pixels per second. The grid of velocities goes on a little
+        beyond it, so that a path of the grid is near every target.
     coupling : RangeDopplerCoupling, optional
         How the column of a target moves its row; all moves are then those in the sheared plane.
     """
@@ -61,6 +64,7 @@ class StateGraph:
     moves: NDArray[np.int32]
     end_moves: NDArray[np.int32]
     turn_cost: float
+    max_speed: float
     coupling: RangeDopplerCoupling | None = None
 
     @property
@@ -102,7 +106,7 @@ class StateGraph:
     def fingerprint(self) -> str:
         """Return a text that differs between graphs with different paths or costs."""
         digest = hashlib.sha256(repr((
-            self.reach, self.turn_cost, self.step_px, self.coupling)).encode())
+            self.reach, self.turn_cost, self.step_px, self.max_speed, self.coupling)).encode())
         for array in (self.knots, self.row_first, self.row_x, self.moves, self.end_moves):
             digest.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
         return digest.hexdigest()
@@ -159,7 +163,7 @@ def build_state_graph(stamps: NDArray, *, step_px: float, max_speed: float,
         moves[knots[j]:knots[j + 1]] = whole_steps(elapsed[:, None, None] * velocities / step_px)
         end_moves[j] = whole_steps((ends[j] - stamps[knots[j]]) * velocities / step_px)
     return StateGraph(step_px, knots, velocities, velocity_step, reach, row_first, row_x,
-                      moves, end_moves, float(turn_cost))
+                      moves, end_moves, float(turn_cost), float(max_speed))
 
 
 def regular_stamps(stamps: NDArray) -> NDArray[np.float64]:

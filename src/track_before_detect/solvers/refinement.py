@@ -81,6 +81,7 @@ class Refiner:
             moved_cost = family_cost
             if moved_cost is None:
                 moved_cost = self._motions.cost(moved)
+            moved_cost += self._motions.overspeed_cost(moved)
             dearness = self._dearness(frames, moved)
             gain = self._fall(frames, moved, value, dearness * moved_cost, threshold, t_convex)
             if gain > best[0]:

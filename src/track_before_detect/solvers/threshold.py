@@ -12,6 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 import hashlib
 import logging
+import math
 import os
 from pathlib import Path
 import tempfile
@@ -51,7 +52,7 @@ N_EXPONENTIAL = 150
 EXPONENTIAL_TAIL = 3 / 16
 SEED = 20240720
 # Part of the key of every cached calibration: change it when the search gives other values.
-REVISION = 5
+REVISION = 6
 
 
 @dataclass(frozen=True)
@@ -131,10 +132,9 @@ def _chi_squared_value(ordered, mean_count, decay):
     fields, 1994), with a power k that grows with the frames and the freedom of paths. It is the
     one that makes the largest maxima likeliest.
     """
-    start = float(np.quantile(ordered, 1 - TAIL))
-    if mean_count > -np.log1p(-TAIL):
+    start, count = _tail(ordered, TAIL)
+    if mean_count > count:
         return float(np.quantile(ordered, np.exp(-mean_count)))
-    count = -np.log1p(-TAIL)
     far = ordered[ordered > start]
     logarithms = np.log(far / start)
 
@@ -165,12 +165,16 @@ def _chi_squared_value(ordered, mean_count, decay):
 
 def _exponential_value(ordered, mean_count):
     """Value that ``mean_count`` paths in a crop pass on average."""
-    tail = min(N_EXPONENTIAL / len(ordered), EXPONENTIAL_TAIL)
-    start = float(np.quantile(ordered, 1 - tail))
-    if mean_count > -np.log1p(-tail):
+    start, count = _tail(ordered, min(N_EXPONENTIAL / len(ordered), EXPONENTIAL_TAIL))
+    if mean_count > count:
         return float(np.quantile(ordered, np.exp(-mean_count)))
     scale = float(np.mean(ordered[ordered > start])) - start
-    return start + scale * float(np.log(-np.log1p(-tail) / mean_count))
+    return start + scale * float(np.log(count / mean_count))
+
+
+def _tail(ordered, share):
+    """Return where the largest maxima begin, and how many paths of a crop pass it on average."""
+    return float(np.quantile(ordered, 1 - share)), -math.log1p(-share)
 
 
 def _noise_maxima(study, crop, progress):
