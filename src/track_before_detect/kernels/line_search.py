@@ -15,7 +15,7 @@ def best_lines(scores, offsets, row, best):
 
     Parameters
     ----------
-    scores : float32 array, shape (T, Y, X)
+    scores : float32 array, shape (T, Y, X), C-contiguous
         What is summed.
     offsets : int array, shape (V, T, 2)
         x and y from the centre, in places of the grid.
@@ -25,22 +25,27 @@ def best_lines(scores, offsets, row, best):
         Filled; -inf for a velocity without a path inside.
     """
     n_frames, n_y, n_x = scores.shape
-    for v in range(len(offsets)):
-        left, top = -offsets[v, :, 0].min(), -offsets[v, :, 1].min()
-        right, bottom = n_x - offsets[v, :, 0].max(), n_y - offsets[v, :, 1].max()
-        left, top = max(left, 0), max(top, 0)
-        right, bottom = min(right, n_x), min(bottom, n_y)
+    n_velocities = len(offsets)
+    flat = scores.reshape(-1)
+    first = np.empty(n_frames, np.uint64)
+    left, top, right, bottom = np.empty((4, n_velocities), np.int64)
+    for v in range(n_velocities):
+        left[v] = max(-offsets[v, :, 0].min(), 0)
+        right[v] = min(n_x - offsets[v, :, 0].max(), n_x)
+        top[v] = max(-offsets[v, :, 1].min(), 0)
+        bottom[v] = min(n_y - offsets[v, :, 1].max(), n_y)
         best[v] = -np.inf
-        if right <= left:
-            continue
-        width = right - left
-        for y in range(top, bottom):
-            first = left + offsets[v, 0, 0]
-            row[:width] = scores[0, y + offsets[v, 0, 1], first:first + width]
-            for t in range(1, n_frames):
-                first = left + offsets[v, t, 0]
-                _add(row[:width], scores[t, y + offsets[v, t, 1], first:first + width])
-            best[v] = max(best[v], _largest(row[:width]))
+    # All velocities of one row of centres before the next: the rows they reach stay in the cache.
+    for y in range(n_y):
+        for v in range(n_velocities):
+            if right[v] <= left[v] or not top[v] <= y < bottom[v]:
+                continue
+            width = np.uint64(right[v] - left[v])
+            for t in range(n_frames):
+                first[t] = ((t * n_y + y + offsets[v, t, 1]) * n_x
+                            + left[v] + offsets[v, t, 0])
+            _add(row, flat, first, width)
+            best[v] = max(best[v], _largest(row, width))
 
 
 @njit(cache=True, nogil=True)
@@ -78,14 +83,24 @@ def best_line_near(scores, offsets, centres, truth, limit):
 
 
 @njit(cache=True, nogil=True)
-def _add(row, values):
-    for x in range(len(row)):
-        row[x] += values[x]
+def _add(row, flat, first, width):
+    """Fill a row with the sum of the rows that begin at ``first`` (T,), four at a time."""
+    n_frames = len(first)
+    for x in range(width):
+        row[x] = 0.0
+    for t in range(0, n_frames - n_frames % 4, 4):
+        a, b, c, d = first[t], first[t + 1], first[t + 2], first[t + 3]
+        for x in range(width):
+            row[x] += (flat[a + x] + flat[b + x]) + (flat[c + x] + flat[d + x])
+    for t in range(n_frames - n_frames % 4, n_frames):
+        a = first[t]
+        for x in range(width):
+            row[x] += flat[a + x]
 
 
 @njit(cache=True, nogil=True, fastmath={'nnan', 'nsz', 'ninf'})
-def _largest(row):
+def _largest(row, width):
     largest = row[0]
-    for x in range(1, len(row)):
+    for x in range(1, width):
         largest = max(largest, row[x])
     return largest
