@@ -1,3 +1,4 @@
+import io
 import os
 from pathlib import Path
 import tempfile
@@ -170,12 +171,36 @@ def test_damaged_frame_is_refused(tmp_path):
     refuse(path, 'cannot be read')
 
 
+@pytest.mark.parametrize('fortran_order', [False, True])
+@pytest.mark.parametrize('shape', [(2**62, 8, 8), (10**4, 10**4, 10**4), (-4, 8, 8)])
+def test_shape_that_the_archive_cannot_hold_is_refused_before_it_is_read(
+        tmp_path, shape, fortran_order):
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {'descr': '<f4', 'fortran_order': fortran_order, 'shape': shape})
+    path = tmp_path / 'boast.npz'
+    with zipfile.ZipFile(path, 'w') as archive:
+        archive.writestr('frames.npy', header.getvalue() + bytes(1000))
+    refuse(path, "array 'frames' of .*boast.npz cannot be read: shape .* bytes, got 1000$")
+
+
+def test_stamps_that_the_archive_cannot_hold_are_refused_before_they_are_read(tmp_path):
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {'descr': '<f8', 'fortran_order': False, 'shape': (10**12,)})
+    path = tmp_path / 'boast.npz'
+    np.savez(path, frames=FRAMES)
+    with zipfile.ZipFile(path, 'a') as archive:
+        archive.writestr('stamps.npy', header.getvalue())
+    refuse(path, "array 'stamps' of .* needs 8000000000000 bytes, got 0$")
+
+
 def test_array_shorter_than_its_header_says_is_refused(tmp_path):
     path = tmp_path / 'short.npz'
     np.save(tmp_path / 'frames.npy', FRAMES)
     with zipfile.ZipFile(path, 'w') as archive:
         archive.writestr('frames.npy', (tmp_path / 'frames.npy').read_bytes()[:-9])
-    refuse(path, 'frame 4 of .*9 bytes too early')
+    refuse(path, 'needs 1680 bytes, got 1671')
 
 
 @pytest.mark.parametrize(
@@ -270,6 +295,9 @@ def test_bad_folders_are_refused(tmp_path):
     refuse(tmp_path, '1.png cannot be read')
     (tmp_path / '1.png').write_bytes(b'')
     refuse(tmp_path, '1.png is empty')
+    (tmp_path / '1.png').unlink()
+    (tmp_path / '1.png').symlink_to(tmp_path / 'nowhere.png')
+    refuse(tmp_path, '1.png cannot be read: No such file')
 
 
 @settings(deadline=None, max_examples=25)

@@ -57,7 +57,12 @@ class _FolderSource:
 
 def read_image(file: Path) -> NDArray:
     """Return the pixels of one image, shape (H, W), colour as luminance."""
-    if file.stat().st_size == 0:
+    try:
+        n_bytes = file.stat().st_size
+    except FileNotFoundError as error:
+        # A link that leads nowhere, or a file removed since the folder was listed.
+        raise DataError(f'image {file} cannot be read: {error.strerror}') from error
+    if n_bytes == 0:
         raise DataError(f'image {file} is empty')
     read = _read_tiff_image if file.suffix.lower() in TIFF_SUFFIXES else _read_pillow_image
     return read(file)

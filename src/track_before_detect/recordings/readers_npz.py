@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 import zipfile
 import zlib
@@ -60,7 +61,8 @@ def _recording(path, archive, names, source):
         fps = _small_array(path, archive, 'fps')
         if fps.size != 1 or fps.dtype.kind not in 'iuf' or not 0 < float(fps.item()) < np.inf:
             raise DataError(f"'fps' of {path} must be one positive number, got {fps!r}")
-        stamps = np.arange(n_frames) / float(fps.item())
+        with np.errstate(over='ignore'):
+            stamps = np.arange(n_frames) / float(fps.item())
     truth = _small_array(path, archive, 'truth') if 'truth' in names else None
     return Recording(path.name, (height, width), source.dtype, n_frames, source, stamps, truth)
 
@@ -69,7 +71,12 @@ def _small_array(path, archive, name):
     """Return a whole array of the archive."""
     try:
         with archive.open(f'{name}.npy') as file:
+            shape, _, dtype = _read_header(file)
+            _check_size(path, archive, name, shape, dtype, file.tell())
+            file.seek(0)
             return np.lib.format.read_array(file, allow_pickle=False)
+    except DataError:
+        raise
     except _READ_ERRORS as error:
         raise DataError(f'array {name!r} of {path} cannot be read: {error}') from error
 
@@ -97,6 +104,7 @@ class _NpzSource:
             what = 'a single image' if len(self.shape) == 2 else f'{len(self.shape)} dimensions'
             raise DataError(
                 f"array 'frames' of {path} must be (T, H, W), got {what} of shape {self.shape}")
+        _check_size(path, self._archive, 'frames', self.shape, self.dtype, self._member.tell())
         self._next = 0
         self._whole = None
         if fortran_order:
@@ -138,6 +146,16 @@ def _read_header(file):
     if version == (2, 0):
         return np.lib.format.read_array_header_2_0(file)
     raise DataError(f'.npy format version {version[0]}.{version[1]} is not for plain numbers')
+
+
+def _check_size(path, archive, name, shape, dtype, header_bytes):
+    """Refuse an array that its member does not hold, before memory is asked for it."""
+    n_bytes = math.prod(shape) * dtype.itemsize
+    held = archive.getinfo(f'{name}.npy').file_size - header_bytes
+    if not dtype.hasobject and not (min(shape, default=0) >= 0 and n_bytes <= held):
+        raise DataError(
+            f'array {name!r} of {path} cannot be read: shape {shape} of {dtype} needs {n_bytes} '
+            f'bytes, got {held}')
 
 
 def _read_exactly(file, n_bytes):
