@@ -4,6 +4,7 @@ import json
 import logging
 import os
 from pathlib import Path
+import signal
 import subprocess
 import sys
 import types
@@ -216,6 +217,19 @@ def test_what_stops_the_search_leaves_no_output(
     assert not (tmp_path / 'out').exists()
 
 
+def test_signal_that_ends_the_run_while_it_writes_leaves_no_output(
+        recording_file, stand_in, tmp_path, monkeypatch):
+    output = tmp_path / 'out'
+    monkeypatch.setattr(cli, 'write_summary_json',
+                        lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        assert run('detect', recording_file, '--output', output) == 143
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert os.listdir(output) == []
+
+
 def test_failure_while_writing_keeps_the_results_of_the_run_before(
         recording_file, stand_in, tmp_path, monkeypatch, capsys):
     output = tmp_path / 'out'
@@ -319,6 +333,18 @@ def test_help_and_version(capsys):
     assert run() == 2
     text = capsys.readouterr().out
     assert 'tbd detect drones.npz' in text and 'tbd simulate --list' in text
+
+
+@pytest.mark.parametrize('closing', ['import sys; sys.stdout = None', 'import sys'])
+def test_output_that_cannot_be_printed_is_no_error(tmp_path, closing):
+    # Without a stream as after >&-, or with one that knows ASCII alone.
+    path = tmp_path / '\u96f7.npz'
+    program = (f'{closing}; from track_before_detect.cli import main; '
+               f'sys.exit(main(["simulate", "noise", "--output", {ascii(str(path))}]))')
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
+                          env={**os.environ, 'PYTHONIOENCODING': 'ascii'}, timeout=60)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert path.exists()
 
 
 def test_reader_that_stops_listening_is_no_error():

@@ -6,13 +6,16 @@ import argparse
 from collections.abc import Callable, Mapping, Sequence
 import dataclasses
 import importlib.util
+import io
 import logging
 import os
 from pathlib import Path
 import shlex
+import signal
 import sys
 import tempfile
 import textwrap
+import threading
 import time
 from typing import Any, TextIO
 
@@ -32,7 +35,7 @@ from track_before_detect.recordings.writers import (
 from track_before_detect.simulation.scenarios import Scenario, SCENARIOS, simulate
 from track_before_detect.types import DetectionResult, Trajectory
 
-FOUND, BAD_INPUT, NOTHING_FOUND, INTERRUPTED = 0, 2, 3, 130
+FOUND, BAD_INPUT, NOTHING_FOUND, INTERRUPTED, TERMINATED = 0, 2, 3, 130, 143
 
 _MAIN_EXAMPLES = """\
 try it:
@@ -44,6 +47,7 @@ exit codes:
   2  an input or option cannot be used; one sentence on stderr says why
   3  done and nothing found
   130  interrupted with Ctrl-C
+  143  ended by the signal TERM
 """
 
 _DETECT_EXAMPLES = """\
@@ -87,6 +91,9 @@ examples:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(format='tbd: %(levelname)s: %(message)s', level=logging.WARNING)
+    _prepare_output()
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _terminate)
     try:
         try:
             return _run(arguments)
@@ -103,6 +110,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return _fail(str(error))
     except MemoryError:
         return _fail('not enough memory for this recording; a smaller batch_length needs less')
+
+
+def _prepare_output():
+    """Let nothing that is printed fail for want of a stream or of a character."""
+    for name in ('stdout', 'stderr'):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors='backslashreplace')
+
+
+def _terminate(*_):
+    """End like an error does, so that no half-written file stays."""
+    sys.exit(TERMINATED)
 
 
 def _run(arguments):
