@@ -83,7 +83,7 @@ class Step:
     t : float
         Place on the continuation: 1 is the convex objective, 0 the combinatorial one.
     objective : float
-        Value of F_t after the step.
+        Value of F_t after the step; NaN of methods without one.
     n_paths : int
         Number of paths with non-zero amplitude.
     violation : float

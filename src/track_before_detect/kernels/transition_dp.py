@@ -20,7 +20,7 @@ weights : float32 (T, H, W), (1, H, W) or (0, 0, 0)
 stamp : float32 (K, K)
     The PSF, K odd.
 cores : float32 (2 K - 1, 2 K - 1)
-    Largest amplitude of a target in the middle that leaves each pixel in use.
+    Largest statistic of a target in the middle that leaves each pixel in use.
 
 The loops over x are small functions of their own because written into the nest they are not
 vectorised; they take flat arrays with unsigned offsets, which spares a slice for each row.

@@ -27,16 +27,18 @@ STEPS_PER_SEGMENT = 3.0
 class StateGraph:
     """States (position, velocity) and the transitions between them.
 
+    The detectors count time in median intervals of the frames.
+
     Attributes
     ----------
     step_px : float
-        Distance of neighbouring positions.
+        Distance of neighbouring positions in pixels.
     knots : array of int, shape (J + 1,)
         First frame of each of the J segments, and the number of frames.
     velocities : array, shape (V, 2)
-        v_x, v_y in pixels per second.
+        v_x, v_y in pixels per unit of time.
     velocity_step : float
-        Distance of neighbouring velocities in pixels per second.
+        Distance of neighbouring velocities in pixels per unit of time.
     reach : int
         Steps by which either component may change between two segments.
     row_first, row_x : array of int32, shape (R + 1,) and (R,)
@@ -46,10 +48,10 @@ class StateGraph:
     end_moves : array of int32, shape (J, V, 2)
         Displacement over each segment.
     turn_cost : float
-        What a change of velocity by one step costs a path, in units of its squared statistic.
+        What a change of velocity by one step costs a path, in units of its value.
     max_speed : float
-        Largest speed of a target in pixels per second. The grid of velocities goes on a little
-        beyond it, so that a path of the grid is near every target.
+        Largest speed of a target in pixels per unit of time. The grid of velocities goes on a
+        little beyond it, so that a path of the grid is near every target.
     coupling : RangeDopplerCoupling, optional
         How the column of a target moves its row; all moves are then those in the sheared plane.
     """
@@ -119,13 +121,13 @@ def build_state_graph(stamps: NDArray, *, step_px: float, max_speed: float,
     Parameters
     ----------
     stamps : array, shape (T,)
-        Seconds, increasing; frames of several sensors may share a stamp.
+        In any unit of time, increasing; frames of several sensors may share a stamp.
     step_px : float
         Distance of neighbouring positions in pixels.
     max_speed : float
-        Pixels per second.
+        Pixels per unit of time.
     max_acceleration : float
-        Pixels per second squared; 0 allows no turn.
+        Pixels per unit of time squared; 0 allows no turn.
     turn_cost : float
         Cost of one velocity step at a turn.
     """

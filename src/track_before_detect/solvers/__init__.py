@@ -1,1 +1,1 @@
-"""Solvers of the convex sparsity prior and its continuation."""
+"""The detectors of one batch, and what they are made of."""

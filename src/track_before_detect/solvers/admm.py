@@ -27,8 +27,10 @@ def solve(amplitudes: NDArray, matched: NDArray, gram: NDArray, slack: NDArray, 
 
     Parameters
     ----------
-    amplitudes, slack : array, shape (n, D, T)
-        Start and solution; filled with ``matched`` less the fit.
+    amplitudes : array, shape (n, D, T)
+        Start and solution.
+    slack : array, shape (n, D, T)
+        Filled with ``matched`` less the fit.
     matched : array, shape (n, D, T)
         h.
     gram : array, shape (n, n, T)

@@ -1,4 +1,4 @@
-"""The plain greedy method, to compare with: one target after the other (Patent (75)).
+"""The plain greedy method, to compare with: one target after another (Patent, paragraph 75).
 
 The best path is taken while it passes the threshold, its amplitudes are fitted alone, and what
 they explain is subtracted for good. No path is fitted again beside those that follow, none is

@@ -118,7 +118,7 @@ class MeritDetector(BatchDetector):
         ------
         DataError
             Complex frames, too small or too few of them, or stamps that do not come at equal
-        intervals.
+            intervals.
         """
         places = self._places(frames, stamps)
         shape = frames.shape[1:]

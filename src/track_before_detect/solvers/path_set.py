@@ -266,7 +266,7 @@ class PathSet:
             'qt,qt->t', self._overlaps[self._pairs[path, others]], self.amplitudes[others])
 
     def statistic(self, path: int, seen: NDArray | None = None) -> float:
-        """Return the statistic of a path, of what is ``seen`` (T,) along it unless others.
+        """Return the statistic of a path for what is ``seen`` (T,) along it.
 
         By default that is what it meets with the other paths taken off.
         """
@@ -301,7 +301,10 @@ class PathSet:
         return self._norms[path] > 0
 
     def may_pass(self, positions: NDArray, cost: float) -> bool:
-        """Return whether any path may pass its weight on the residual once it is refined."""
+        """Return whether a path that is not held may pass its weight once it is refined.
+
+        On the residual, the amplitudes of those that are held fixed.
+        """
         stamps, origins, norms = self._render(positions)
         seen = self._seen_by(stamps, origins)
         model = self.model

@@ -2,9 +2,9 @@
 
 With psi the data over the variance seen through the PSF and phi the squared PSF over the variance,
 a target of constant amplitude and known motion has the statistic sum psi / sqrt(sum phi), of unit
-variance in noise, and the amplitude sum psi / sum phi (the velocity matched filter of US
-application 18/790,866, Eq. 18). A position is that in the middle of the batch; parts of a motion
-outside the frame add nothing to either sum.
+variance in noise, and the amplitude sum psi / sum phi (the velocity matched filtering of US
+application 18/790,866, paragraph 18). A position is that in the middle of the batch; parts of a
+motion outside the frame add nothing to either sum.
 """
 
 from __future__ import annotations

@@ -93,8 +93,8 @@ class StreakScores(PositionScores):
         return factors
 
 
-def places_along(streak):
-    """Return the grid positions (M, 2) along a streak in grid steps, around its middle."""
+def places_along(streak: NDArray) -> NDArray[np.int64]:
+    """Return the grid positions (M, 2) along a streak (x, y) in grid steps, around its middle."""
     n_places = max(1, int(np.ceil(np.hypot(*streak))))
     at = (np.arange(n_places) + 0.5) / n_places - 0.5
     return np.rint(at[:, None] * streak).astype(np.int64)
