@@ -27,7 +27,6 @@ from track_before_detect.solvers.path_search import PathSearch
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.types import Progress
 
-REPEATS = 7
 SEED = 1
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.evaluation import ring_pictures, ring_readings, ring_runs
+from track_before_detect.evaluation.bench_dp import PAPER_MS
 from track_before_detect.evaluation.confidence import bootstrap_interval
 from track_before_detect.evaluation.report import markdown_table, Quantity, SuiteResult
 from track_before_detect.evaluation.ring_scenes import (
@@ -36,9 +37,7 @@ MULTI_SNRS = (1.5, 1.8, 2.2, 3.0)
 _TIMED_FRAMES, _TIMED = 20, 3
 # Best P_d of the plain forms at SNR 1.5 (Section 4.1).
 _STATED = {'cfo': ring_readings.STATED, 'cso': 0.3, 'mff': 0.45}
-# ms per frame of 128 x 128 px by v_max, DP and DPR (Table 1), and by case (Table 2).
-_TABLE_1 = {'cfo': {1: '15/29', 2: '32/63'}, 'cso': {1: '57/117', 2: '165/343'},
-            'mff': {1: '75/155', 2: '227/449'}}
+# ms per frame of 128 x 128 px by case, DP and DPR (Table 2).
 _TABLE_2 = {'cfo': ('34/65', '34/65', '53/95'), 'cso': ('118/236', '119/237', '175/353'),
             'mff': ('161/315', '155/313', '235/485')}
 _COMMON = (f'Frames of {RING_SIDE_PX} x {RING_SIDE_PX} pixels, white noise of one pixel, targets '
@@ -214,7 +213,7 @@ def _single_details(table):
         seconds = [_least_time(functools.partial(
             merit_functions, frames, f'{order}_{form}', v_max)) for form in ('dp', 'dpr')]
         rows.append((order.upper(), str(v_max), str(candidates), _ms(seconds),
-                     _TABLE_1[order][v_max]))
+                     '/'.join(map(str, PAPER_MS[order, v_max]))))
     lines += markdown_table(
         ('method', 'v_max', 'candidates', 'DP/DPR, here', 'DP/DPR, paper (i5-2400, MATLAB)'), rows)
     return '\n'.join(lines)

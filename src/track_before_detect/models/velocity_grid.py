@@ -8,6 +8,8 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.models.coupling import whole_steps
+
 # Displacement over the whole batch between neighbouring velocities, in pixels. A target between
 # two velocities drifts off the nearer one by at most half of this over the batch.
 PIXELS_PER_BATCH = 1.0
@@ -144,8 +146,7 @@ def velocity_grid(stamps: NDArray, max_speed: float, steps_per_px: int = 1, *,
         radius = max_speed * span / PIXELS_PER_BATCH + 1e-9
         half = np.floor(np.sqrt(radius**2 - np.arange(-count, count + 1)**2) + 1e-9).astype(int)
     displacement = axis[:, None] * times * steps_per_px
-    # Half away from zero, so that opposite velocities move by opposite steps.
-    moves = (np.sign(displacement) * np.floor(np.abs(displacement) + 0.5)).astype(np.int32)
+    moves = whole_steps(displacement)
     return VelocityGrid(times, axis, (count - half).astype(np.int32),
                         (count + half + 1).astype(np.int32), moves, stack_plan(moves))
 

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from track_before_detect.preprocess.background import temporal_median
+
 _CUTOFF = 9.0  # median absolute deviations beyond which a value has no weight
 _GAUSSIAN = 1.00918  # what the estimate says of unit Gaussian noise
 _ENOUGH = 200_000  # values tell the deviation to 0.2 %
@@ -89,9 +91,6 @@ def pixel_level(frames: NDArray, floor: float = 0.0) -> NDArray:
     array, shape (1, H, W)
         Standard deviation; NaN where a pixel is masked in every frame.
     """
-    # imported here to keep the two estimates of what does not move in one place
-    from track_before_detect.preprocess.background import temporal_median
-
     centred = frames - temporal_median(frames)
     variance = (1.4826 * temporal_median(np.abs(centred))) ** 2
     known = np.isfinite(variance)
