@@ -189,9 +189,10 @@ def _noise_maxima(study, crop, progress):
     maxima = _simulate(study, crop, progress)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            np.save(file, maxima)
-        os.replace(file.name, path)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix='.partial-') as folder:
+            aside = Path(folder) / path.name
+            np.save(aside, maxima)
+            os.replace(aside, path)
     except OSError as error:
         _LOG.warning('the threshold calibration could not be kept for the next run: %s', error)
     return maxima
