@@ -225,6 +225,7 @@ def test_noise_far_above_one_ends_when_the_fits_have_taken_enough(continuation, 
     noise = 5 * np.random.default_rng(3).standard_normal((T, H, W)).astype(np.float32)
     result, _ = solve(noise, continuation)
     assert result.status == 'iteration_limit'
+    assert result.paths.amplitudes.any(axis=1).all()
     # What begins before the limit is passed may be several fits of all paths.
     assert 3e4 < result.paths.work < 3e4 + 5 * len(result.paths)**3
 

@@ -195,10 +195,11 @@ class _Stage:
             self._fit_gap = FIT_GAP if last else STAGE_GAP * paths.threshold**2
         self._last = last
         self._most_passes = MOST_PASSES if last and t_convex < 1 else 1
+        self._cut_short = False
 
     def begin(self, start):
         """Add the paths to start with that are worth it."""
-        for path in start:
+        for path in self._while_affordable(start):
             self._try_adding(path)
 
     def run(self, tolerance, most_rounds, history):
@@ -222,13 +223,18 @@ class _Stage:
             history.append(Step(self._t, paths.objective(self._t), len(paths), violation))
             if not found:
                 return largest, fitted and largest <= bound
-            if len(paths) >= MOST_PATHS or self._tired:
+            if len(paths) >= MOST_PATHS:
+                return largest, False
+            added = sum([self._add_violating(path, tolerance) if frozen else self._try_adding(path)
+                         for path in self._while_affordable(found)])
+            if added:
+                continue
+            if self._cut_short:
                 return largest, False
             if frozen:
-                if not sum([self._add_violating(path, tolerance) for path in found]):
-                    # What the search saw is the rounding of its single precision.
-                    return bound, fitted
-            elif not sum([self._try_adding(path) for path in found]) and not self._certified:
+                # What the search saw is the rounding of its single precision.
+                return bound, fitted
+            if not self._certified:
                 # The best path does not lower F_t once the others are fitted with it.
                 return largest, self._t < 1
         return largest, False
@@ -241,9 +247,16 @@ class _Stage:
                             float('nan')))
         return fitted
 
-    @property
-    def _tired(self):
-        return self._paths.work > MOST_WORK
+    def _while_affordable(self, steps):
+        """Yield what is to be fitted next until the fits of the batch have taken enough.
+
+        Every loop that fits goes through here, so that a stage which has to end runs out of steps.
+        """
+        for step in steps:
+            if self._paths.work > MOST_WORK:
+                self._cut_short = True
+                return
+            yield step
 
     def _is_new(self, separation):
         """Return a test for paths that still pass the threshold beside those found so far."""
@@ -263,7 +276,7 @@ class _Stage:
     def _try_adding(self, found):
         """Add a path if it still passes its weight and F_t falls."""
         paths = self._paths
-        if self._tired or not paths.may_pass(found.positions, found.cost):
+        if not paths.may_pass(found.positions, found.cost):
             return False
         paths.add(found.positions, found.cost)
         added = len(paths) - 1
@@ -292,10 +305,10 @@ class _Stage:
 
     def _fit_all(self):
         fitted = True
-        for members in self._paths.clusters():
-            fitted = not self._tired and self._fit(members) and fitted
+        for members in self._while_affordable(self._paths.clusters()):
+            fitted = self._fit(members) and fitted
         self._drop_empty()
-        return fitted
+        return fitted and not self._cut_short
 
     def _improve(self):
         """Fit, refine, merge and remove paths for as long as F_t falls."""
@@ -305,9 +318,7 @@ class _Stage:
             before = paths.objective(self._t)
             order = np.argsort(np.linalg.norm(paths.amplitudes, axis=1))
             # Paths are told apart by their arrays, for removing one renumbers the rest.
-            for positions in [paths.positions[p] for p in order]:
-                if self._tired:
-                    return False
+            for positions in self._while_affordable([paths.positions[p] for p in order]):
                 path = next((p for p, other in enumerate(paths.positions)
                              if other is positions), None)
                 if path is None:
@@ -322,7 +333,7 @@ class _Stage:
                 break
         if self._t < 1:
             self._prune()
-        return fitted
+        return fitted and not self._cut_short
 
     def _prune(self):
         """Remove paths that no longer pass their weight beside all others, the weakest first.
@@ -331,7 +342,8 @@ class _Stage:
         positive exactly when the statistic eta is below the weight w.
         """
         paths = self._paths
-        while len(paths) and not self._tired:
+        # Each step removes a path, or nothing is left to remove.
+        for _ in self._while_affordable(range(len(paths))):
             excess = np.array([paths.statistic(path)
                                for path in range(len(paths))]) - paths.weights
             weakest = int(np.argmin(excess))
@@ -383,8 +395,6 @@ class _Stage:
             paths.assign(others, amplitudes)
             paths.remove(np.array([path]))
             return True
-        if not len(others):
-            return False
         alike = paths.similarity(path)[others]
         if alike.max() < ALIKE:
             return False
