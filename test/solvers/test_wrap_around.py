@@ -9,6 +9,7 @@ from track_before_detect.models.state_graph import build_state_graph
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.convex import ConvexDetector
+from track_before_detect.tracking.pipeline import TrackingPipeline
 
 WIDTH, HEIGHT = 90, 48
 
@@ -95,6 +96,21 @@ def test_registration_is_refused():
     with pytest.raises(tbd.ParameterError, match='registration must be none'):
         tbd.detect(np.zeros((4, 16, 16)), motion_model='range_bearing', threshold=8,
                    registration='translation')
+
+
+def test_frames_narrower_than_the_stamp_are_refused():
+    options = {'motion_model': 'range_bearing', 'threshold': 8}
+    with pytest.raises(tbd.ParameterError, match='range_bearing needs frames with at least 9 '
+                                                 'columns, .* got 8'):
+        tbd.detect(np.zeros((4, 16, 8)), **options)
+    assert tbd.detect(np.zeros((4, 16, 9)), **options).trajectories == []
+
+
+def test_warm_up_does_for_any_psf_that_the_frames_are_wide_enough_for():
+    psf = np.outer(np.hanning(31), np.hanning(31))
+    pipeline = TrackingPipeline(DetectorOptions(
+        psf=psf, motion_model='range_bearing', threshold=9.0))
+    assert pipeline.warm_up((40, 64), 1.0, 4) == 9.0
 
 
 def test_masked_pixels_and_variance_go_round_with_the_columns():

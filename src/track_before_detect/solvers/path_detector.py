@@ -289,7 +289,7 @@ class PathDetector(BatchDetector):
         if isinstance(self.psf, PlaneView):
             return 0
         if self.options.motion_model == 'range_bearing':
-            return strip_margin(graph, self.psf)
+            return strip_margin(graph, width, self.psf)
         return self._doppler_margin(width)
 
     def _doppler_margin(self, width):

@@ -39,17 +39,24 @@ def doppler_margin(n_ambiguities: int, width: int, psf: Psf) -> int:
     """
     if n_ambiguities == 0:
         return 0
-    if width < 2 * psf.half_width + 1:
-        raise ParameterError(
-            f'doppler_ambiguities needs maps with at least {2 * psf.half_width + 1} columns, '
-            f'which the point spread function covers, got {width}')
+    _check_width('doppler_ambiguities', width, psf)
     return n_ambiguities * width + 2 * psf.half_width
 
 
-def strip_margin(graph: StateGraph, psf: Psf) -> int:
+def strip_margin(graph: StateGraph, width: int, psf: Psf) -> int:
     """Return the columns that are repeated at each side."""
+    _check_width('motion_model range_bearing', width, psf)
     travel = graph.step_px * np.abs(graph.end_moves[..., 0]).max(axis=1).sum()
     return math.ceil(travel) + 2 * psf.half_width
+
+
+def _check_width(name, width, psf):
+    """Refuse frames around which a stamp would meet itself."""
+    least = 2 * psf.half_width + 1
+    if width < least:
+        raise ParameterError(
+            f'{name} needs frames with at least {least} columns, which the point spread function '
+            f'covers, got {width}')
 
 
 def strip(frames: NDArray, margin: int) -> NDArray:

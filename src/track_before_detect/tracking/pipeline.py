@@ -156,7 +156,9 @@ class TrackingPipeline:
             threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
             variance=None, mask=None, doppler_ambiguities=0,
             exposure_s=min(self._options.exposure_s, 1.0))
-        frames = np.random.default_rng(0).standard_normal((8, 24, 24)).astype(np.float32)
+        # Where columns go round a wide PSF needs as many.
+        width = max(24, 2 * psf_of(options).half_width + 1)
+        frames = np.random.default_rng(0).standard_normal((8, 24, width)).astype(np.float32)
         frames[:, 10:13, 10:13] += 8
         if options.amplitudes == 'complex':
             frames = frames.astype(np.complex64)
