@@ -259,7 +259,9 @@ def _check_kind(sensors):
 
 
 def _is_number(value):
-    return isinstance(value, (int, float, np.integer, np.floating))
+    # To Python a truth value is a whole number.
+    return (isinstance(value, (int, float, np.integer, np.floating))
+            and not isinstance(value, bool))
 
 
 def _checked_frames(number, sensor):
@@ -291,8 +293,14 @@ def _checked_stamps(number, sensor, n_frames):
     if stamps.shape != (n_frames,):
         raise DataError(f'stamps of sensor {number} must have shape ({n_frames},), got '
                         f'{stamps.shape}')
-    if not (np.all(np.isfinite(stamps)) and np.all(np.diff(stamps) > 0)):
-        raise DataError(f'stamps of sensor {number} must be finite and increase')
+    if not np.all(np.isfinite(stamps)):
+        raise DataError(f'stamps of sensor {number} must be finite, got '
+                        f'{stamps[~np.isfinite(stamps)][0]}')
+    backward = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(backward):
+        at = int(backward[0])
+        raise DataError(f'stamps of sensor {number} must increase, got {stamps[at]:g} s and then '
+                        f'{stamps[at + 1]:g} s at frame {at + 1}')
     return stamps
 
 
@@ -300,13 +308,15 @@ def _psf(number, sensor, options) -> Psf:
     if sensor.psf is not None:
         if sensor.psf_sigma_px is not None:
             raise ParameterError(f'sensor {number} must have psf or psf_sigma_px, got both')
-        return ArrayPsf(sensor.psf)
-    if sensor.psf_sigma_px is None:
+    elif sensor.psf_sigma_px is None:
         return psf_of(options)
-    if not _is_number(sensor.psf_sigma_px):
+    elif not _is_number(sensor.psf_sigma_px):
         raise ParameterError(
             f'psf_sigma_px of sensor {number} must be a number, got {sensor.psf_sigma_px!r}')
-    return GaussianPsf(sensor.psf_sigma_px)
+    try:
+        return GaussianPsf(sensor.psf_sigma_px) if sensor.psf is None else ArrayPsf(sensor.psf)
+    except ParameterError as error:
+        raise ParameterError(f'sensor {number}: {error}') from error
 
 
 def _to_plane(number, sensor):
@@ -318,11 +328,11 @@ def _to_plane(number, sensor):
         except (TypeError, ValueError) as error:
             raise ParameterError(
                 f'affine of sensor {number} must be an array: {error}') from error
-        if affine.size != 6 or affine.dtype.kind not in 'iuf':
+        if affine.shape != (2, 3) or affine.dtype.kind not in 'iuf':
             raise ParameterError(
                 f'affine of sensor {number} must be real numbers of shape (2, 3), got '
                 f'{affine.dtype} of shape {affine.shape}')
-        matrix[:2] = affine.reshape(2, 3)
+        matrix[:2] = affine
     if not (np.all(np.isfinite(matrix)) and abs(np.linalg.det(matrix)) > 1e-9):
         raise ParameterError(
             f'affine of sensor {number} must be finite and invertible, got {matrix[:2].tolist()}')
