@@ -215,7 +215,7 @@ class ArrayPsf(Psf):
     """
 
     def __init__(self, array: ArrayLike):
-        self.array = _checked(array)
+        self.array = of_unit_norm(array)
         left, values, right = np.linalg.svd(self.array)
         rest = np.sqrt(np.append(np.cumsum(values[::-1]**2)[::-1], 0.0))
         n_components = max(1, int(np.argmax(rest <= LOST_TO_ROUNDING * rest[0])))
@@ -264,8 +264,20 @@ def psf_of(options: DetectorOptions) -> Psf:
     return GaussianPsf(options.psf_sigma_px, options.psf_model == 'integrated_gaussian')
 
 
-def _checked(array):
-    array = np.asarray(array)
+def of_unit_norm(psf: ArrayLike) -> NDArray[np.float64]:
+    """Return a point spread function that is given as an array, scaled to unit norm.
+
+    Parameters
+    ----------
+    psf : array, shape (H, W), both odd
+        Of any scale.
+
+    Raises
+    ------
+    ParameterError
+        It is no such array, not finite, or zero.
+    """
+    array = np.asarray(psf)
     if array.dtype.kind not in 'biuf':
         raise ParameterError(f'psf must be an array of real numbers, got {array.dtype}')
     if array.ndim != 2 or array.shape[0] % 2 == 0 or array.shape[1] % 2 == 0:

@@ -13,7 +13,7 @@ from scipy.sparse.csgraph import connected_components
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.kernels import cells as cell_kernels
 from track_before_detect.kernels import group_lasso
-from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.psf import GaussianPsf, of_unit_norm
 from track_before_detect.solvers import admm
 from track_before_detect.types import Step
 
@@ -98,7 +98,8 @@ def fit_paths(frames: NDArray, paths: NDArray, *, psf: NDArray | GaussianPsf, la
     Parameters
     ----------
     frames : array, shape (T, H, W)
-        Frames of unit noise (E|n|^2 = 1 where complex). Pixels that are not finite are masked.
+        Frames of unit noise (E|n|^2 = 1 where complex). Pixels that are not finite are masked;
+        some have to be finite.
     paths : array, shape (P, T, 2)
         Column x and row y of each path in each frame, in pixels, inside the frame. Positions are
         taken to 1e-12 px.
@@ -189,6 +190,8 @@ def _checked_frames(frames, amplitudes):
     if frames.dtype.kind == 'c' and amplitudes != 'complex':
         raise DataError(f'complex frames need amplitudes complex, got {amplitudes!r}')
     valid = np.isfinite(frames)
+    if not valid.any():
+        raise DataError(f'no pixel of the {len(frames)} frames is finite')
     size = float(np.abs(frames, where=valid, out=np.zeros(frames.shape)).max())
     if size > LARGEST:
         raise DataError(f'frames must hold values of at most {LARGEST:g}, got {size:g}')
@@ -218,13 +221,18 @@ def _checked_paths(paths, shape):
     return paths
 
 
+def _is_number(value):
+    # To Python a truth value is a whole number.
+    return isinstance(value, NUMBER) and not isinstance(value, bool)
+
+
 def _checked_numbers(lam, t, tol):
     for name, value in (('lam', lam), ('tol', tol)):
-        if not (isinstance(value, NUMBER) and math.isfinite(value) and value > 0):
+        if not (_is_number(value) and math.isfinite(value) and value > 0):
             raise ParameterError(f'{name} must be a number above 0, got {value!r}')
-    if lam > LARGEST:
+    if float(lam) > LARGEST:
         raise ParameterError(f'lam must be at most {LARGEST:g}, got {lam!r}')
-    if not (isinstance(t, NUMBER) and 0 <= t <= 1):
+    if not (_is_number(t) and 0 <= t <= 1):
         raise ParameterError(f't must be a number from 0 to 1, got {t!r}')
     return float(lam), float(t), float(tol)
 
@@ -234,14 +242,7 @@ def _checked_psf(psf):
     if array.dtype.kind not in 'biuf':
         raise ParameterError('psf must be a GaussianPsf or an array of real numbers, got '
                              f'{type(psf).__name__}')
-    if array.ndim != 2 or array.shape[0] % 2 == 0 or array.shape[1] % 2 == 0:
-        raise ParameterError(f'psf must be a 2-D array with odd sides, got the shape '
-                             f'{array.shape}')
-    array = np.ascontiguousarray(array, np.float64)
-    norm = float(np.linalg.norm(array))
-    if not (math.isfinite(norm) and norm > 0):
-        raise ParameterError(f'psf must be finite and not all zero, got one of norm {norm:g}')
-    return array / norm
+    return of_unit_norm(array)
 
 
 def _numbered(paths):
