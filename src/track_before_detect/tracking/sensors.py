@@ -305,16 +305,15 @@ def _checked_stamps(number, sensor, n_frames):
 
 
 def _psf(number, sensor, options) -> Psf:
-    if sensor.psf is not None:
-        if sensor.psf_sigma_px is not None:
-            raise ParameterError(f'sensor {number} must have psf or psf_sigma_px, got both')
-    elif sensor.psf_sigma_px is None:
+    sigma = sensor.psf_sigma_px
+    if sensor.psf is None and sigma is None:
         return psf_of(options)
-    elif not _is_number(sensor.psf_sigma_px):
-        raise ParameterError(
-            f'psf_sigma_px of sensor {number} must be a number, got {sensor.psf_sigma_px!r}')
+    if sensor.psf is not None and sigma is not None:
+        raise ParameterError(f'sensor {number} must have psf or psf_sigma_px, got both')
+    if sigma is not None and not _is_number(sigma):
+        raise ParameterError(f'psf_sigma_px of sensor {number} must be a number, got {sigma!r}')
     try:
-        return GaussianPsf(sensor.psf_sigma_px) if sensor.psf is None else ArrayPsf(sensor.psf)
+        return ArrayPsf(sensor.psf) if sigma is None else GaussianPsf(sigma)
     except ParameterError as error:
         raise ParameterError(f'sensor {number}: {error}') from error
 
