@@ -101,3 +101,10 @@ def test_target_a_little_faster_than_told_is_found_once(speed):
                             max_speed_px_s=1.0)
         [found] = result.trajectories
         assert np.hypot(*(found.positions - positions).T).mean() < 0.3
+
+
+def test_no_speed_is_larger_than_one_that_crosses_the_frame_in_an_interval():
+    stamps = np.arange(4.0)
+    assert (graph_of('nearly_constant_velocity', stamps, max_speed_px_s=1e300).fingerprint()
+            == graph_of('nearly_constant_velocity', stamps,
+                        max_speed_px_s=64 * 2**0.5).fingerprint())

@@ -138,7 +138,9 @@ class PathDetector(BatchDetector):
         interval = median_interval(stamps)
         if options.motion_model == 'range_doppler':
             return self._range_doppler_graph(stamps, shape)
-        speed = self.max_speed(stamps)
+        # A target that crosses the frame in one interval is as fast as can be seen, and the turns
+        # that come with a larger speed would take for ever to search.
+        speed = min(self.max_speed(stamps), float(np.hypot(*shape)) / interval)
         acceleration = options.max_acceleration_px_s2
         if acceleration is None:
             acceleration = speed / (INTERVALS_TO_MAX_SPEED * interval)
@@ -147,10 +149,9 @@ class PathDetector(BatchDetector):
         # Three digits are finer than any grid and keep equal cameras on one calibration.
         speed, acceleration = (float(f'{value:.3g}') for value in (
             speed * interval, acceleration * interval**2))
-        # A target that crosses the frame in one interval is as fast as can be seen, and a disc of
-        # velocities that wide is more than can be searched.
+        # A disc of velocities may be wider than can be searched.
         velocity_step = self._graph(stamps, min(speed, 1e-9), acceleration).velocity_step
-        fitting = min(speed, float(np.hypot(*shape)), WIDEST_DISC * velocity_step)
+        fitting = min(speed, WIDEST_DISC * velocity_step)
         graph = self._graph(stamps, fitting, acceleration)
         psf = self._seen_psf(stamps)
         while not self._affordable(graph, shape, psf):
