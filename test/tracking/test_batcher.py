@@ -115,6 +115,30 @@ def test_a_long_gap_starts_the_window_again_and_a_dropped_frame_does_not():
     assert window.add(frame(4), 9.0, 4).outcome is Outcome.GAP
 
 
+def test_a_first_stamp_of_zero_is_forgotten_once_the_third_frame_shows_the_gap():
+    window = SlidingWindow(4, 2)
+    answers = feed(window, [0.0, *(1.7e9 + 0.25 * np.arange(6))])
+    assert [answer.outcome for answer in answers[:4]] == [
+        Outcome.ACCEPTED, Outcome.ACCEPTED, Outcome.GAP, Outcome.ACCEPTED]
+    assert 'a gap of 1.7e+09 s before the second frame' in answers[2].reason
+    assert window.median_interval_s == 0.25
+    np.testing.assert_array_equal(
+        [batch.frame_indices for batch in batches_of(answers)], [[1, 2, 3, 4], [3, 4, 5, 6]])
+
+
+@pytest.mark.parametrize('length', [1, 2, 3])
+def test_windows_of_few_frames_go_on_after_a_first_gap(length):
+    window = SlidingWindow(length, 1)
+    batches = batches_of(feed(window, [0.0, *(100.0 + np.arange(6.0))]))
+    np.testing.assert_array_equal(batches[-1].frame_indices, np.arange(7 - length, 7))
+    assert window.median_interval_s == 1.0
+
+
+def test_frames_that_come_in_bunches_at_the_start_are_all_kept():
+    answers = feed(SlidingWindow(4, 2), [0.0, 0.5, 0.5001, 0.5002])
+    assert {answer.outcome for answer in answers} == {Outcome.ACCEPTED}
+
+
 def test_the_longest_gap_can_be_given():
     window = SlidingWindow(4, 2, max_gap_s=0.5)
     feed(window, [0.0, 0.1])

@@ -305,6 +305,9 @@ class StreamWorker:
             self.counters.restarts += 1
             self._on_warning(intake.outcome.value, f'the window starts again: {intake.reason}')
         self._search(intake.batch)
+        if intake.outcome is not Outcome.ACCEPTED:
+            # What could not be prepared at the rate of before may be at that of now.
+            self._failed_for = None
         if intake.outcome in (Outcome.JUMP_BACK, Outcome.SIZE_CHANGE):
             self._pipeline.reset()
             self._on_reset()
@@ -332,6 +335,7 @@ class StreamWorker:
             self.status.searching = False
         if self.status.state != 'ready':
             self._set_state('ready', self._ready_text)
+        self.status.shape = shape
         self.counters.batches += 1
         self.counters.trajectories += len(detection.trajectories)
         tags = {int(index): self._tags[int(index)][0] for index in batch.frame_indices}

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 from track_before_detect.errors import ParameterError
 from track_before_detect.types import FrameBatch
 
+# Frames stamped on arrival may come in bunches at the start; less than this is no gap then.
+SHORTEST_FIRST_GAP_S = 1.0
+
 
 class Outcome(Enum):
     """What became of a frame."""
@@ -129,6 +132,9 @@ class SlidingWindow:
             reason = (f'expected a frame within {longest:.6g} s, found a gap of '
                       f'{stamp_s - newest:.6g} s')
             return self._restart(Outcome.GAP, reason, pixels, stamp_s, frame_index)
+        first_gap = self._first_gap(stamp_s - newest)
+        if first_gap is not None:
+            return self._accept_after_first_gap(first_gap, pixels, stamp_s, frame_index)
         return self._accept(Outcome.ACCEPTED, pixels, stamp_s, frame_index)
 
     def flush(self) -> FrameBatch | None:
@@ -150,6 +156,30 @@ class SlidingWindow:
         if len(self._intervals) < 2:
             return None
         return self.length * float(np.median(self._intervals))
+
+    def _first_gap(self, interval_s):
+        """Return the first interval when the second one shows that it was a gap, else None.
+
+        A camera whose first stamp is zero, or from before its clock was set, is an example.
+        """
+        if self.max_gap_s is not None or len(self._intervals) != 1:
+            return None
+        first = self._intervals[0]
+        longest = max(SHORTEST_FIRST_GAP_S, self.length * interval_s)
+        return first if first > longest else None
+
+    def _accept_after_first_gap(self, gap_s, pixels, stamp_s, frame_index):
+        """Forget what lies before the gap, then take the frame."""
+        while len(self._frames) > 1:
+            self._frames.popleft()
+            self._stamps.popleft()
+            self._indices.popleft()
+        self._intervals.clear()
+        self._n_new = min(self._n_new, 1)
+        reason = (f'found a gap of {gap_s:.6g} s before the second frame, '
+                  f'{stamp_s - self._stamps[-1]:.6g} s after it the third')
+        batch = self._accept(Outcome.GAP, pixels, stamp_s, frame_index).batch
+        return Intake(Outcome.GAP, batch, reason)
 
     def _restart(self, outcome, reason, pixels, stamp_s, frame_index):
         # A part of a window would have to be calibrated for its own length, while frames arrive.
