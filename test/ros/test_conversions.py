@@ -153,6 +153,11 @@ def test_markers_keep_their_ids_and_remove_only_what_ended():
     assert (kept[0].lifetime.sec, kept[0].lifetime.nanosec) == (1, 500_000_000)
 
 
+def test_markers_of_very_slow_frames_last_as_long_as_a_duration_can():
+    message = conversions.markers_from_trajectories([trajectory()], HEADER, 1e10)
+    assert message.markers[0].lifetime.sec == 2**31 - 1
+
+
 def test_a_trajectory_of_one_frame_has_a_line_that_can_be_drawn():
     message = conversions.markers_from_trajectories([trajectory(n_frames=1)], HEADER, 1.0)
     assert len(message.markers[0].points) == 2

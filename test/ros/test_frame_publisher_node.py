@@ -83,6 +83,16 @@ def test_new_stamps_keep_the_intervals_and_do_not_jump_in_a_loop(
     np.testing.assert_allclose(np.diff(stamps), 0.02, atol=5e-3)
 
 
+def test_a_single_frame_is_looped_at_the_rate_that_is_asked_for(launch, station, tmp_path):
+    np.savez(tmp_path / 'single.npz', frames=np.zeros((1, 4, 5), np.uint8))
+    messages = station.listen(Image, 'image', RELIABLE)
+    launch('frame_publisher', '-p', f'input:={tmp_path / "single.npz"}', '-p', 'loop:=true',
+           '-p', 'rate_hz:=20.0')
+    station.wait_until(lambda: len(messages) >= 4, 'four rounds')
+    stamps = [conversions.seconds_from_time(message.header.stamp) for message in messages]
+    assert np.median(np.diff(stamps)) == pytest.approx(0.05, abs=0.01)
+
+
 def test_it_waits_for_a_subscriber_before_the_first_frame(launch, station):
     publisher = launch('frame_publisher', '-p', 'rate_hz:=200.0')
     publisher.wait_for_line('waiting for a subscriber of /image')

@@ -43,6 +43,7 @@ _POINT_FIELD_TYPES = {
 
 LINE_WIDTH_PX = 0.75
 LABEL_HEIGHT_PX = 5.0
+LONGEST_LIFETIME_S = 2.0**31 - 1
 
 
 def seconds_from_time(stamp: Time) -> float:
@@ -219,6 +220,8 @@ def markers_from_trajectories(
     ended : iterable of int
         Ids of trajectories shown before that are no more.
     """
+    # A duration of ROS holds no more.
+    lifetime_s = min(lifetime_s, LONGEST_LIFETIME_S)
     lifetime = Duration(sec=int(lifetime_s), nanosec=int(lifetime_s % 1.0 * 1e9))
     markers = []
     for trajectory in trajectories:

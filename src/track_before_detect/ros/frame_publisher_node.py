@@ -226,7 +226,10 @@ class FramePublisherNode(ParameterizedNode):
         self._next = 0
         if self._loop:
             # The first frame is due one interval after the last one.
-            interval_s = float(np.median(np.diff(self._offsets))) if len(self._offsets) > 1 else 1
+            if len(self._offsets) > 1:
+                interval_s = float(np.median(np.diff(self._offsets)))
+            else:
+                interval_s = 1.0 / (self._rate_hz or 1.0)
             self._pass_start_s += self._offsets[-1] + interval_s
             self._start_pass(self._pass_start_s)
             return
