@@ -1,7 +1,9 @@
 """The detector as a process, fed and heard over DDS."""
 
+import os
 import re
 import signal
+import time
 
 import pytest
 
@@ -271,6 +273,19 @@ def test_parameters_are_live_or_refused_with_a_sentence(launch, station, moving_
     station.wait_for_diagnostics(batches=1)
 
 
+def test_what_the_detector_in_use_cannot_do_is_refused_and_the_search_goes_on(launch, station):
+    station.listen(DiagnosticArray, '/diagnostics')
+    launch('detector')
+    station.wait_for_diagnostics(state='waiting for frames')
+    result = change(station, 'directions', 3)
+    assert not result.successful
+    assert 'directions needs the detector pc_dp, got convex' in result.reason
+    assert change(station, 'detector', 'pc_dp').successful
+    assert change(station, 'directions', 3).successful
+    station.received['/diagnostics'].clear()
+    station.wait_for_diagnostics(state='waiting for frames')
+
+
 def test_parameters_describe_themselves(launch, station):
     start(launch, station)
     response = station.call(
@@ -320,6 +335,31 @@ def test_a_second_interrupt_changes_nothing(launch, station):
     detector.process.send_signal(signal.SIGINT)
     assert detector.interrupt() == 0
     assert 'Traceback' not in detector.output
+
+
+def test_an_interrupt_while_the_search_is_waited_for_changes_nothing(monkeypatch):
+    from track_before_detect.ros import detector_node
+    waited = []
+
+    class Node:
+        def stop(self):
+            os.kill(os.getpid(), signal.SIGINT)
+            # Where the handler of Python would run.
+            time.sleep(0.01)
+            waited.append(True)
+            return True
+
+    def interrupted(node):
+        raise KeyboardInterrupt('the first one')
+
+    monkeypatch.setattr(detector_node.rclpy, 'spin', interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt, match='the first one'):
+            detector_node._spin(Node())
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert waited
 
 
 def test_a_publisher_that_cannot_be_heard_is_named_loudly(launch, station):

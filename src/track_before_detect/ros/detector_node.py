@@ -11,6 +11,7 @@ from __future__ import annotations
 from copy import copy
 import math
 import os
+import signal
 import sys
 import threading
 import time
@@ -50,6 +51,7 @@ from track_before_detect.ros.worker import (
     StreamSettings,
     StreamWorker,
 )
+from track_before_detect.tracking.pipeline import TrackingPipeline
 
 INPUT_DEPTH = 20
 OUTPUT_DEPTH = 50
@@ -111,9 +113,11 @@ class DetectorNode(ParameterizedNode):
         values = self.values()
         shape = (values['frame_height'], values['frame_width'])
         rate = values['frame_rate_hz']
+        settings = _settings(values)
+        self._hop = settings.hop
         known = min(shape) > 0 and rate > 0.0
         self._worker = StreamWorker(
-            _options(values), _settings(values),
+            _options(values), settings,
             expected_shape=shape if known else None,
             expected_interval_s=1.0 / rate if known else None,
             on_result=self._publish, on_reset=self._clear_markers, on_state=self._state_changed,
@@ -121,14 +125,16 @@ class DetectorNode(ParameterizedNode):
         self._worker.start()
 
     def check_values(self, values):
-        """Raise ParameterError when options do not go together."""
-        _options(values)
+        """Raise ParameterError when options do not go together, or not with the detector."""
+        TrackingPipeline(_options(values))
 
     def on_change(self, names):
         """Hand changed parameters to the worker, which uses them from the next batch on."""
         self.get_logger().info(f'changed: {", ".join(names)}; in effect from the next batch on')
         values = self.values()
-        self._worker.configure(_options(values), _settings(values))
+        settings = _settings(values)
+        self._hop = settings.hop
+        self._worker.configure(_options(values), settings)
 
     def stop(self) -> bool:
         """Stop the worker; return whether it stopped in time."""
@@ -201,9 +207,7 @@ class DetectorNode(ParameterizedNode):
         trajectories = result.detection.trajectories
         header = result.tags[int(result.batch.frame_indices[-1])]
         stamps = {index: tag.stamp for index, tag in result.tags.items()}
-        values = self.values()
-        interval_s = result.interval_s or 1.0
-        lifetime_s = LIFETIME_BATCHES * _settings(values).hop * interval_s
+        lifetime_s = LIFETIME_BATCHES * self._hop * (result.interval_s or 1.0)
         with self._lock:
             shown = {trajectory.id for trajectory in trajectories}
             ended, self._shown = self._shown - shown, shown
@@ -317,6 +321,8 @@ def _spin(node):
     try:
         rclpy.spin(node)
     finally:
+        # The second interrupt under ros2 launch must not cut the wait for the search short.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         if not node.stop():
             # A compilation cannot be interrupted, and leaving Python under it would crash.
             sys.stderr.flush()
