@@ -43,14 +43,16 @@ class AmplitudeModel:
 
     The first two constant models are a restriction to one dimension, so their statistic has the
     noise of one number instead of T: they find dimmer targets, and miss those that fluctuate. A
-    phase that is free in each frame leaves most of the noise in. Moduli that are constant are no
-    convex set; the largest norm of which eta is the dual is max |x_t| |n| / n_t, equal to |x| on
-    that set. It takes the place of |x| at t = 1, where moduli are merely bounded by it, and makes
-    that problem the convex hull of the others. What is
-    constant is the amplitude of the target itself: n_t, the norm that variance and mask of frame t
-    leave of its stamp, says how much of it the unit-norm column shows. Where neither is given all
-    n_t are one, also beside the border, so that the statistic, the sum of h over sqrt(T), is
-    additive along a path.
+    phase that is free in each frame leaves most of the noise in.
+
+    Moduli that are constant are no convex set; the largest norm of which eta is the dual is
+    max |x_t| |n| / n_t, equal to |x| on that set. It takes the place of |x| at t = 1, where moduli
+    are merely bounded by it, and makes that problem the convex hull of the others.
+
+    What is constant is the amplitude of the target itself: n_t, the norm that variance and mask of
+    frame t leave of its stamp, says how much of it the unit-norm column shows. Where neither is
+    given all n_t are one, also beside the border, so that the statistic, the sum of h over
+    sqrt(T), is additive along a path.
 
     Attributes
     ----------
