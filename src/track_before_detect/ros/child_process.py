@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 import os
 from pathlib import Path
 import signal
@@ -37,14 +38,20 @@ class ChildProcess:
         self._process: subprocess.Popen | None = None
 
     def __enter__(self):
-        with open(self.log, 'wb') as output:
-            self._process = subprocess.Popen(
-                self._command, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
-                env={**os.environ, **self._environment})
         return self
 
     def __exit__(self, *_):
-        self.stop()
+        if self._process is not None:
+            self.stop()
+
+    def start(self) -> None:
+        """Start the process, within the ``with`` block, from the main thread."""
+        # An interrupt between the fork and the end of Popen would leave a process behind that
+        # nobody knows.
+        with open(self.log, 'wb') as output, _interrupts_held_back():
+            self._process = subprocess.Popen(
+                self._command, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
+                env={**os.environ, **self._environment})
 
     @property
     def exit_code(self) -> int | None:
@@ -70,3 +77,20 @@ class ChildProcess:
         """Return the last lines it wrote that are not empty."""
         text = self.log.read_text(encoding='utf-8', errors='replace')
         return [line for line in text.splitlines() if line.strip()][-count:]
+
+
+@contextmanager
+def _interrupts_held_back() -> Iterator[None]:
+    """Let an interrupt or a termination take effect at the end of the block only."""
+    held: list[int] = []
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    # Not by blocking the signals or ignoring them, which a child would inherit.
+    for number in handlers:
+        signal.signal(number, lambda received, _: held.append(received))
+    try:
+        yield
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        for received in held:
+            signal.raise_signal(received)

@@ -278,9 +278,9 @@ def _play(arguments, options, source, recording, output, status) -> Heard:
         executor = SingleThreadedExecutor()
         executor.add_node(listener)
         stack.callback(executor.shutdown)
-        stack.enter_context(detector)
+        stack.enter_context(detector).start()
         _wait_until_ready(detector, executor, heard, status)
-        stack.enter_context(publisher)
+        stack.enter_context(publisher).start()
         _wait_until_searched(detector, publisher, executor, heard, recording, status)
         status.show('stopping the nodes')
         for child in (publisher, detector):
