@@ -21,6 +21,7 @@ from track_before_detect.solvers.mt_dp import MtDpDetector
 from track_before_detect.solvers.pc_dp import PcDpDetector
 from track_before_detect.solvers.velocity_filter import VelocityFilterDetector
 from track_before_detect.tracking.carried_over import carried_over
+from track_before_detect.tracking.stamps import check_increasing
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
@@ -179,13 +180,7 @@ def _check(batch):
             f'frames must have shape (T, H, W) with no empty side, got {frames.shape}')
     if stamps.shape != (len(frames),):
         raise DataError(f'stamps must have shape ({len(frames)},), got {stamps.shape}')
-    if not np.all(np.isfinite(stamps)):
-        raise DataError(f'stamps must be finite, got {stamps[~np.isfinite(stamps)][0]}')
-    backward = np.flatnonzero(np.diff(stamps) <= 0)
-    if len(backward):
-        at = int(backward[0])
-        raise DataError(f'stamps must increase, got {stamps[at]:g} s and then '
-                        f'{stamps[at + 1]:g} s at frame {at + 1}')
+    check_increasing(stamps, 'stamps')
     if len(stamps) > 1:
         interval = float(np.median(np.diff(stamps)))
         least, most = INTERVALS_S

@@ -20,6 +20,7 @@ from track_before_detect.solvers.convex import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.tracking.carried_over import carried_over
+from track_before_detect.tracking.stamps import check_increasing
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
@@ -293,14 +294,7 @@ def _checked_stamps(number, sensor, n_frames):
     if stamps.shape != (n_frames,):
         raise DataError(f'stamps of sensor {number} must have shape ({n_frames},), got '
                         f'{stamps.shape}')
-    if not np.all(np.isfinite(stamps)):
-        raise DataError(f'stamps of sensor {number} must be finite, got '
-                        f'{stamps[~np.isfinite(stamps)][0]}')
-    backward = np.flatnonzero(np.diff(stamps) <= 0)
-    if len(backward):
-        at = int(backward[0])
-        raise DataError(f'stamps of sensor {number} must increase, got {stamps[at]:g} s and then '
-                        f'{stamps[at + 1]:g} s at frame {at + 1}')
+    check_increasing(stamps, f'stamps of sensor {number}')
     return stamps
 
 
