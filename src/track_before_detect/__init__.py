@@ -13,7 +13,7 @@ from track_before_detect.types import DetectionResult, Step, Trajectory
 
 if TYPE_CHECKING:
     from track_before_detect.detection import detect, detect_sensors, Sensor
-    from track_before_detect.solvers.fit_paths import fit_paths, FittedPaths
+    from track_before_detect.solvers.given_paths.fit_paths import fit_paths, FittedPaths
 
 __version__ = '0.1.0'
 
@@ -40,6 +40,6 @@ def __getattr__(name: str) -> Any:
         from track_before_detect import detection
         return getattr(detection, name)
     if name in ('fit_paths', 'FittedPaths'):
-        from track_before_detect.solvers import fit_paths
+        from track_before_detect.solvers.given_paths import fit_paths
         return getattr(fit_paths, name)
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.errors import ParameterError, suggestion
-from track_before_detect.given_array import given_array, GivenArray
+from track_before_detect.array_option import given_array, GivenArray
 
 DETECTORS = ('convex', 'greedy', 'cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_dpr', 'mff_dpr',
              'mt_dp', 'pc_dp', 'velocity_filter')

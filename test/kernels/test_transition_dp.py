@@ -5,9 +5,9 @@ import pytest
 
 import naive
 from track_before_detect.kernels import transition_dp
-from track_before_detect.models.psf import GaussianPsf
-from track_before_detect.models.transition_sets import directional_sets, transition_sets
-from track_before_detect.solvers.measurements import cores, measure, Merit
+from track_before_detect.models.measurement.psf import GaussianPsf
+from track_before_detect.models.motion.transition_sets import directional_sets, transition_sets
+from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
 
 SETS = [
     pytest.param([1] * 5, 1, id='9'), pytest.param([2] * 5, 1, id='25'),

@@ -5,8 +5,13 @@ import pytest
 
 import naive
 from track_before_detect.kernels import velocity_stack
-from track_before_detect.models.velocity_grid import _plan, GROUPS, stack_plan, velocity_grid
-from track_before_detect.solvers.shift_and_stack import VelocityStack
+from track_before_detect.models.motion.velocity_grid import (
+    _plan,
+    GROUPS,
+    stack_plan,
+    velocity_grid,
+)
+from track_before_detect.solvers.velocity.shift_and_stack import VelocityStack
 
 STAMPS = [
     pytest.param(np.arange(7.0), id='regular'),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
-from track_before_detect.recordings.atomic import atomic_path
+from track_before_detect.atomic_files import atomic_path
 from track_before_detect.recordings.writers import (
     CSV_COLUMNS,
     write_npz_recording,

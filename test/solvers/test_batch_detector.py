@@ -5,7 +5,7 @@ import pytest
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers import batch_detector as module
-from track_before_detect.solvers.convex import ConvexDetector
+from track_before_detect.solvers.convex.detector import ConvexDetector
 
 REGULAR = 0.04 * np.arange(12)
 GENERATOR = np.random.default_rng(1)

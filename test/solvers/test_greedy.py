@@ -6,7 +6,7 @@ import pytest
 import track_before_detect as tbd
 from track_before_detect.options import DetectorOptions, DETECTORS
 from track_before_detect.solvers import greedy
-from track_before_detect.solvers.convex import ConvexDetector
+from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
 
@@ -107,7 +107,7 @@ def test_search_that_is_cut_short_says_so(monkeypatch):
 
 def test_threshold_is_that_of_paths_on_the_grid(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr('track_before_detect.solvers.threshold.MOST_CROPS', 800)
+    monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 800)
     options = {'max_speed_px_s': 0.0, 'false_alarm_rate': 0.5}
     greedy, convex = (
         DETECTOR_CLASSES[name](DetectorOptions(detector=name, **options))

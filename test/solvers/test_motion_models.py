@@ -6,8 +6,8 @@ import pytest
 import track_before_detect as tbd
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.solvers.convex import ConvexDetector
-from track_before_detect.solvers.motions import motions_of
+from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.solvers.refine.smooth_motions import motions_of
 
 STAMPS = {
     'regular': np.arange(16.0),

@@ -6,7 +6,7 @@ import pytest
 from false_alarms import assert_rate_is_realised
 import naive
 import track_before_detect as tbd
-from track_before_detect.models.psf import ArrayPsf, GaussianPsf
+from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 
 T, SHAPE = 8, (24, 30)
 SPEED = np.array([0.43, -0.27])
@@ -246,7 +246,7 @@ def test_constant_amplitudes_of_either_sign_are_those_of_the_turned_frames(prese
 
 def test_masked_noise_holds_as_many_constant_targets_as_asked_for(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr('track_before_detect.solvers.threshold.MOST_CROPS', 1000)
+    monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 1000)
 
     def passes(generator):
         frames = generator.standard_normal((6, 32, 32))

@@ -12,9 +12,9 @@ from track_before_detect import (
     Sensor,
 )
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers import threshold
-from track_before_detect.solvers.convex import ConvexDetector
-from track_before_detect.solvers.path_search import PathSearch
+from track_before_detect.solvers.calibration import threshold
+from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.solvers.search.path_search import PathSearch
 from track_before_detect.tracking.sensors import SensorArray
 
 TURN, ZOOM = np.deg2rad(25), 1.25

@@ -5,7 +5,7 @@ import pytest
 
 import naive
 import track_before_detect as tbd
-from track_before_detect.models.psf import GaussianPsf
+from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.options import DEFAULT_CONTINUATION
 
 T, SHAPE, LAM = 6, (16, 40), 8.0

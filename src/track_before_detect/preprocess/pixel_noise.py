@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError
-from track_before_detect.given_array import GivenArray
+from track_before_detect.array_option import GivenArray
 from track_before_detect.types import FrameBatch
 
 

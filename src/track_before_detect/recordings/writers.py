@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from track_before_detect.recordings.atomic import atomic_path
+from track_before_detect.atomic_files import atomic_path
 from track_before_detect.types import Trajectory
 
 CSV_COLUMNS = ('trajectory_id', 'frame', 'stamp_s', 'x_px', 'y_px', 'vx_px_s', 'vy_px_s',

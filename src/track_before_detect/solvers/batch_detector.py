@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.threshold import NoiseStudy, threshold_for
+from track_before_detect.solvers.calibration.threshold import NoiseStudy, threshold_for
 from track_before_detect.types import Progress, Step
 
 # Relative difference of frame intervals that share a calibration.

@@ -12,35 +12,39 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.plane_view import PlaneView
+from track_before_detect.models.measurement.multi_sensor import PlaneView
 from track_before_detect.models.presence import frames_seen_in, presence_for
-from track_before_detect.models.psf import Psf, psf_of
-from track_before_detect.models.range_doppler import build_range_doppler_graph
-from track_before_detect.models.state_graph import (
+from track_before_detect.models.measurement.psf import Psf, psf_of
+from track_before_detect.models.motion.range_doppler import build_range_doppler_graph
+from track_before_detect.models.motion.state_graph import (
     build_state_graph,
     exact_stamps,
     regular_stamps,
     StateGraph,
 )
-from track_before_detect.models.streak import StreakPsf, streaks_of
+from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
     median_interval,
 )
-from track_before_detect.solvers.constant_partial_search import ConstantPartialSearch
-from track_before_detect.solvers.constant_search import ConstantSearch
-from track_before_detect.solvers.cores import usable_cores
-from track_before_detect.solvers.partial_search import PartialSearch
-from track_before_detect.solvers.path_search import PathSearch
-from track_before_detect.solvers.path_set import PathSet
-from track_before_detect.solvers.path_table import table_bytes
-from track_before_detect.solvers.position_scores import grid_shape
-from track_before_detect.solvers.search_cost import search_seconds
-from track_before_detect.solvers.sheared_plane import ShearedPlane
-from track_before_detect.solvers.threshold import noise_frames, NoiseStudy, threshold_for
-from track_before_detect.solvers.wrap_around import (
+from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
+from track_before_detect.solvers.search.constant_search import ConstantSearch
+from track_before_detect.parallel import usable_cores
+from track_before_detect.solvers.search.partial_search import PartialSearch
+from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.convex.working_set import PathSet
+from track_before_detect.solvers.search.viterbi_table import table_bytes
+from track_before_detect.solvers.search.position_scores import grid_shape
+from track_before_detect.solvers.calibration.calibration_cost import search_seconds
+from track_before_detect.solvers.search.sheared_plane import ShearedPlane
+from track_before_detect.solvers.calibration.threshold import (
+    noise_frames,
+    NoiseStudy,
+    threshold_for,
+)
+from track_before_detect.solvers.search.periodic_columns import (
     doppler_margin,
     in_frame,
     once_each,

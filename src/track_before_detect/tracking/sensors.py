@@ -11,16 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect import geometry
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.models.plane_view import PlaneView
-from track_before_detect.models.psf import ArrayPsf, GaussianPsf, Psf, psf_of
+from track_before_detect.models.measurement.multi_sensor import PlaneView
+from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf, Psf, psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.chain import prepare, PreparedBatch
 from track_before_detect.solvers.batch_detector import FoundTrajectory
-from track_before_detect.solvers.convex import ConvexDetector
+from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector
-from track_before_detect.tracking.carried_over import carried_over
-from track_before_detect.tracking.stamps import check_increasing
+from track_before_detect.tracking.previous_batch import carried_over
+from track_before_detect.tracking.timestamps import check_increasing
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 

@@ -1,0 +1,204 @@
+"""Time of target cancellation over the whole transition set (MT) and by direction (PC).
+
+The scenes are the six targets of Guo et al. 2018, section 4.2, at 8 dB, and 24 targets in frames
+of 512 x 512 cells. Both methods have the same probability of a false alarm, and both compute again
+only what depends on a cancelled target. Beside the candidates they look at stand those of
+computing everything again, which Eq. 18 is about.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from track_before_detect.evaluation.studies.parallel import scenes as parallel_scenes
+from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
+from track_before_detect.evaluation.metrics.paper_metrics import track_errors
+from track_before_detect.evaluation.studies.parallel.scenes import ParallelScene
+from track_before_detect.evaluation.benchmarks.timing import (
+    aligned,
+    checked_repeats,
+    in_ms,
+    summary,
+    timed,
+)
+from track_before_detect.models.measurement.psf import GaussianPsf
+from track_before_detect.models.motion.transition_sets import directional_sets, TransitionSets
+from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
+from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
+from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.types import Progress
+
+SEED = 1
+SNR_DB = 8.0
+P_FA = 0.1
+N_DIRECTIONS = 4
+POINT = GaussianPsf(0.3)
+MERIT = Merit(squared=True)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, and how often it is drawn for the threshold and for P_d."""
+
+    name: str
+    shape: tuple[int, int]
+    draw: Callable[[np.random.Generator], ParallelScene]
+    noise_runs: int
+    runs: int
+
+
+CASES = (
+    Case('six targets', parallel_scenes.SHAPE,
+         lambda rng: parallel_scenes.six_targets(SNR_DB, rng), 2000, 300),
+    Case('24 targets', (512, 512),
+         lambda rng: parallel_scenes.many_targets(24, SNR_DB, rng, (512, 512)), 100, 10),
+)
+
+
+def measure_parallel(repeats: int, large: bool, progress: Progress) -> dict[str, Any]:
+    """Measure both methods.
+
+    Parameters
+    ----------
+    repeats : int
+        Measurements of each stage.
+    large : bool
+        Makes no difference: frames of 512 x 512 cells are always measured.
+    progress : callable
+        Called with a label and the share done, 0 to 1.
+    """
+    checked_repeats(repeats)
+    measured = []
+    for number, case in enumerate(CASES):
+        progress('measuring', number / len(CASES))
+        measured.append(measure_case(case, repeats))
+    progress('measuring', 1.0)
+    return {'bench': 'parallel', 'seed': SEED, 'repeats': repeats, 'snr_db': SNR_DB, 'p_fa': P_FA,
+            'machine': describe_machine(), 'cases': measured}
+
+
+def measure_case(case: Case, repeats: int) -> dict[str, Any]:
+    """Measure one scene."""
+    rng = np.random.default_rng(SEED)
+    reaches = [1] * parallel_scenes.N_FRAMES
+    sets = {'mt_dp': directional_sets(reaches, 1),
+            'pc_dp': directional_sets(reaches, N_DIRECTIONS)}
+    noise = [_search(noise_frames(rng, (parallel_scenes.N_FRAMES, *case.shape), True))
+             for _ in range(case.noise_runs)]
+    bounds = {name: float(np.quantile([search.largest_merit(parts) for search in noise],
+                                      1 - P_FA)) for name, parts in sets.items()}
+    del noise
+    first, runs = None, []
+    for _ in range(case.runs):
+        scene = case.draw(rng)
+        first = first or scene
+        runs.append({name: _outcome(_search(scene.frames), scene, parts, bounds[name])
+                     for name, parts in sets.items()})
+    assert first is not None
+    return {
+        'name': case.name,
+        'shape': list(case.shape),
+        'n_targets': len(first.positions),
+        'runs': case.runs,
+        **{key: {name: float(np.mean([run[name][key] for run in runs])) for name in sets}
+           for key in ('detected', 'tracks', 'candidates', 'candidates_of_slowest', 'plain',
+                       'plain_of_slowest')},
+        'eq_18': float(np.mean([run['pc_dp']['found_of_most']
+                                / (max(run['mt_dp']['found_of_most'], 1) * N_DIRECTIONS)
+                                for run in runs])),
+        'times': _times(first, sets, bounds, repeats),
+    }
+
+
+def _search(frames):
+    return TargetSearch(measure(frames, POINT), cores(POINT), MERIT)
+
+
+def _outcome(search, scene, parts, bound):
+    """Return what a method finds and looks at."""
+    searches = search.run_parallel(parts, bound, 1)
+    tracks = searches[0].tracks if len(parts) == 1 else search.fuse(searches, bound)
+    # Everything once, and once more for each target found.
+    cells = scene.frames[1:].size
+    plain = [cells * _candidates(part) * (1 + len(done.tracks))
+             for part, done in zip(parts, searches, strict=True)]
+    looked_at = [done.n_candidates for done in searches]
+    return {
+        'detected': track_errors([track.pixels for track in tracks],
+                                 scene.cells).detected.mean(),
+        'tracks': len(tracks),
+        'candidates': sum(looked_at), 'candidates_of_slowest': max(looked_at),
+        'plain': sum(plain), 'plain_of_slowest': max(plain),
+        'found_of_most': max(len(done.tracks) for done in searches),
+    }
+
+
+def _candidates(part: TransitionSets) -> int:
+    return int(part.sizes[part.sets[-1]])
+
+
+def _times(scene, sets, bounds, repeats):
+    """Return times of the stages, which take turns."""
+    search = _search(scene.frames)
+
+    def whole():
+        search.run_parallel(sets['mt_dp'], bounds['mt_dp'], 1)
+
+    def by_direction(n_threads):
+        def run():
+            bound = bounds['pc_dp']
+            search.fuse(search.run_parallel(sets['pc_dp'], bound, n_threads), bound)
+
+        return run
+
+    stages = {'statistic': lambda: _search(scene.frames), 'mt_dp': whole,
+              'pc_dp, 1 thread': by_direction(1), 'pc_dp, 2 threads': by_direction(2)}
+    return {name: summary(seconds) for name, seconds in
+            zip(stages, timed(list(stages.values()), repeats), strict=True)}
+
+
+def parallel_table(measured: Mapping[str, Any]) -> str:
+    """Return the measurements as text."""
+    rows = [('scene', 'cells', 'method', 'P_d', 'tracks', 'candidates', 'slowest part', 'over MT',
+             'plain', 'slowest part', 'over MT', 'Eq. 18', '1 thread', 'its CPU', '2 threads')]
+    for case in measured['cases']:
+        for name in ('mt_dp', 'pc_dp'):
+            alone = case['times'][name if name == 'mt_dp' else 'pc_dp, 1 thread']
+            pc = name == 'pc_dp'
+            rows.append((
+                case['name'], ' x '.join(map(str, case['shape'])), name,
+                f'{100 * case["detected"][name]:.1f} %', f'{case["tracks"][name]:.1f}',
+                _millions(case['candidates'][name]),
+                _millions(case['candidates_of_slowest'][name]),
+                _ratio(case, 'candidates_of_slowest', name),
+                _millions(case['plain'][name]), _millions(case['plain_of_slowest'][name]),
+                _ratio(case, 'plain_of_slowest', name), f'{case["eq_18"]:.3f}' if pc else '',
+                _ms(alone['wall_s']), _ms(alone['cpu_s']),
+                _ms(case['times']['pc_dp, 2 threads']['wall_s']) if pc else ''))
+    lines = aligned(rows)
+    statistic = ', '.join(f'{_ms(case["times"]["statistic"]["wall_s"])} for {case["name"]}'
+                          for case in measured['cases'])
+    lines += [
+        f'{measured["snr_db"]:g} dB, P_fa = {measured["p_fa"]:g}; candidates in millions, plain: '
+        'with everything computed again for each target.',
+        f'Times in ms, least of {measured["repeats"]} (median in brackets), without the matched '
+        f'filter that both share: {statistic}.',
+        f'{machine_line()}.',
+    ]
+    return '\n'.join(lines)
+
+
+def _ratio(case, key, name):
+    return '' if name == 'mt_dp' else f'{case[key][name] / case[key]["mt_dp"]:.3f}'
+
+
+def _millions(count):
+    return f'{count / 1e6:.3f}'
+
+
+def _ms(times):
+    return in_ms(times, 2)

@@ -1,0 +1,1 @@
+"""Carrying out the runs of a study and reporting them."""

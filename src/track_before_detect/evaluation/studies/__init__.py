@@ -1,0 +1,1 @@
+"""The studies of ``tbd evaluate``, a folder for each."""

@@ -1,0 +1,240 @@
+"""Every detector on the same scenes, at equal false alarms."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation.studies.compare import (
+    details as compare_details,
+    pictures as compare_pictures,
+    runs as compare_runs,
+)
+from track_before_detect.evaluation.studies.compare.details import Standing
+from track_before_detect.evaluation.studies.compare.runs import SCENES
+from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
+from track_before_detect.evaluation.engine.report import (
+    markdown_table,
+    Quantity,
+    share,
+    SuiteResult,
+)
+from track_before_detect.evaluation.metrics.roc import roc
+from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
+from track_before_detect.options import DetectorOptions, DETECTORS
+from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+
+SNRS = (1.5, 2.0, 3.0)
+RATE = 0.05
+OURS = 'convex'
+STRAIGHT, FLUCTUATING, PARTIAL = 'convex, straight', 'convex, fluctuating', 'convex, partial'
+# The convex detector told more or less of the targets.
+VARIANTS = {
+    STRAIGHT: {'detector': OURS, 'amplitude_model': 'constant',
+               'motion_model': 'constant_velocity'},
+    FLUCTUATING: {'detector': OURS, 'amplitude_model': 'fluctuating'},
+    PARTIAL: {'detector': OURS, 'amplitude_model': 'constant', 'presence': 'partial'},
+}
+# Scenes whose question is when a target is there: ours is told that it may enter and leave.
+PARTIAL_SCENES = ('enters', 'leaves')
+# Where the threshold is varied, and the false alarm rate that trajectories are taken down to.
+ROC_SCENE, ROC_SNR, ROC_RATE = 'line', 1.5, 0.5
+NOISES = ('noise', 'noise six')
+
+
+def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
+    """Search all scenes by all detectors; arguments as of every suite."""
+    checked_runs(runs, seed)
+    wanted, refused = _methods()
+    by_noise = {noise: _with_thresholds(wanted, noise, RATE, runner) for noise in NOISES}
+
+    def items_of(scene, snr, count):
+        methods = by_noise[NOISES[compare_runs.shape_of(scene) == compare_runs.SIX]]
+        return [{'scene': scene, 'snr': snr, 'methods': methods, 'seed': one}
+                for one in seeds_of(seed, f'compare {scene} {snr:g}', count)]
+
+    items = [item for scene in SCENES for snr in SNRS for item in items_of(scene, snr, runs)]
+    results = runner.map(compare_runs.search, items, 'searching scenes')
+    noise_items = [item for noise in NOISES for item in items_of(noise, 0.0, 2 * runs)]
+    noise = runner.map(compare_runs.search, noise_items, 'searching noise')
+    names = list(wanted)
+    curves = _rocs(wanted, runs, seed, runner)
+
+    def gathered(key):
+        return np.array([[result[name][key] for name in names] for result in results],
+                        float).reshape(len(SCENES), len(SNRS), runs, len(names))
+
+    targets = np.array([compare_runs.n_targets(scene) for scene in SCENES])
+    found = gathered('found') / targets[:, None, None, None]
+    alarms = np.array([[result[name]['false'] for name in names] for result in noise]).reshape(
+        len(NOISES), 2 * runs, len(names))
+    rows = [{'scene': item['scene'], 'snr': item['snr'], 'seed': item['seed'], 'method': name,
+             **result[name]}
+            for item, result in zip(items + noise_items, results + noise, strict=True)
+            for name in names]
+    leaders = _leaders(found, names)
+    standings = _standings(found, names)
+    return SuiteResult(
+        'Every detector on the same scenes',
+        f'{runs} batches per scene and SNR: 20 frames of 96 x 96 pixels (the six targets of Guo '
+        'et al. 2018, Section 4.2: 6 frames of 50 x 50), PSF of 1 px, targets of constant '
+        'amplitude, which every method is told that makes use of it; '
+        f'"{FLUCTUATING}" is the convex detector without that knowledge, "{PARTIAL}" without that '
+        f'of targets being there in all frames, and "{STRAIGHT}" is told, as velocity_filter is, '
+        f'that they move on straight lines. In the scenes {" and ".join(PARTIAL_SCENES)} ours is '
+        f'"{PARTIAL}", in all others "{OURS}". '
+        'Lines and arcs (20 px radius) at 0.2 to 1 px/frame, two parallel targets 5 px apart, '
+        'two that cross at right angles, the three of Fu et al. 2022, Figure 7, '
+        f'frames 20 to 39, and a line that is there in the last or first '
+        f'{compare_runs.PRESENT} frames. Thresholds for {100 * RATE:g} % of noise batches with a '
+        'trajectory, each calibrated by its own method. A target is found by a trajectory less '
+        f'than {compare_runs.FOUND_PX:g} px from it on average that is there in at least half of '
+        'its frames; each counts once. Intervals: bootstrap over batches, which all methods '
+        'saw; Wilson for noise.' + (f' Not compared: {"; ".join(refused)}.' if refused else ''),
+        rows, _quantities(found, names, leaders, standings, alarms),
+        {'runs': runs, 'seed': seed, 'snrs': SNRS, 'methods': by_noise},
+        lambda figure: compare_pictures.draw_found(figure, found.mean(axis=2), SNRS, names, RATE),
+        {'scenes': compare_pictures.draw_scenes,
+         'roc': lambda figure: compare_pictures.draw_roc(figure, curves, RATE, OURS)},
+        '\n\n'.join([compare_details.reasons(standings),
+                     _details(gathered, found, targets, names, leaders),
+                     compare_details.roc_table(
+                         curves, f'{ROC_SCENE}, SNR {ROC_SNR:g}, as the threshold varies')]))
+
+
+def _rocs(wanted, runs, seed, runner):
+    """Return the curve of each method in one scene, whose trajectories may be weak."""
+    methods = _with_thresholds(wanted, NOISES[0], ROC_RATE, runner)
+
+    def searched(scene, snr, count):
+        return runner.map(compare_runs.statistics, [
+            {'scene': scene, 'snr': snr, 'methods': methods, 'seed': one}
+            for one in seeds_of(seed, f'roc {scene} {snr:g}', count)], 'varying the threshold')
+
+    of_targets, of_noise = searched(ROC_SCENE, ROC_SNR, runs), searched(NOISES[0], 0.0, 2 * runs)
+    return {name: roc([max(one[name]['right'], default=np.nan) for one in of_targets],
+                      [one[name]['false'] for one in of_noise]) for name in methods}
+
+
+def _methods():
+    """Return the options of each method, and what is not compared and why."""
+    wanted: dict[str, dict[str, str]] = {}
+    refused = []
+    for name in DETECTORS:
+        options = {'detector': name, 'amplitude_model': 'constant'}
+        try:
+            DETECTOR_CLASSES[name](DetectorOptions.from_mapping(options))
+        except ParameterError as error:
+            refused.append(f'{name} ({error})')
+            continue
+        wanted[name] = options
+        if name == OURS:
+            wanted.update(VARIANTS)
+    return wanted, refused
+
+
+def _with_thresholds(wanted, noise, rate, runner):
+    """Return options with the threshold for batches of the size of a scene of noise."""
+    n_frames, height, width = compare_runs.shape_of(noise)
+    made = {}
+    for name, options in wanted.items():
+        detector = DETECTOR_CLASSES[options['detector']](
+            DetectorOptions.from_mapping({**options, 'false_alarm_rate': rate}))
+        made[name] = {**options, 'threshold': detector.threshold(
+            np.arange(float(n_frames)), (height, width), runner.progress)}
+    return made
+
+
+def ours_in(scene: str) -> str:
+    """Return the name under which the convex detector stands in a scene."""
+    return PARTIAL if scene in PARTIAL_SCENES else OURS
+
+
+def _leaders(found, names) -> NDArray[np.int64]:
+    """Return which method finds most by scene and SNR, of equal ones ours."""
+    means = found.mean(axis=2)
+    for number, scene in enumerate(SCENES):
+        means[number, :, names.index(ours_in(scene))] += 1e-9
+    return np.argmax(means, axis=2)
+
+
+def _standings(found, names):
+    """Compare ours with the best other method, by scene and SNR."""
+    others = [number for number, name in enumerate(names) if name not in (OURS, *VARIANTS)]
+    standings = []
+    for (scene, label), (point, snr) in itertools.product(enumerate(SCENES), enumerate(SNRS)):
+        by_run = found[scene, point]
+        means = by_run.mean(axis=0)
+        rival = others[int(np.argmax(means[others]))]
+        gain = by_run[:, names.index(ours_in(label))] - by_run[:, rival]
+        standings.append(Standing(
+            label, snr, ours_in(label), names[rival], float(gain.mean()),
+            *bootstrap_interval(gain, lambda drawn: float(drawn.mean())),
+            dict(zip(names, means.tolist(), strict=True))))
+    return standings
+
+
+def _quantities(found, names, leaders, standings, alarms):
+    quantities = []
+    points = itertools.product(range(len(SCENES)), range(len(SNRS)))
+    for (scene, point), standing in zip(points, standings, strict=True):
+        by_run, leader = found[scene, point], leaders[scene, point]
+        at = f'{standing.scene}, SNR {standing.snr:g}'
+        quantities.append(Quantity(
+            f'{at}: best method', float(by_run[:, leader].mean()),
+            *bootstrap_interval(by_run[:, leader], lambda drawn: float(drawn.mean())),
+            len(by_run), 'batches', '%', '; '.join(_equal_to(leader, by_run, names))))
+        quantities.append(Quantity(
+            f'{at}: {standing.ours} minus the best other', standing.gain, standing.low,
+            standing.high, len(by_run), 'batches', '%',
+            f'best other: {standing.rival}; {standing.verdict}'))
+    for number, noise in enumerate(NOISES):
+        shape = ' x '.join(map(str, compare_runs.shape_of(noise)))
+        for method, name in enumerate(names):
+            hit = alarms[number, :, method] > 0
+            quantities.append(share(f'noise of {shape} with a trajectory: {name}',
+                                    int(hit.sum()), len(hit), 'batches',
+                                    f'requested: {100 * RATE:g} %'))
+    return quantities
+
+
+def _equal_to(leader, by_run, names):
+    """Return the best method, and those that find no less."""
+    means = by_run.mean(axis=0)
+    return [names[leader], *(name for number, name in enumerate(names)
+                             if number != leader and means[number] >= means[leader])]
+
+
+def _details(gathered, found, targets, names, leaders):
+    n_targets = targets[:, None, None]
+    false = gathered('false').mean(axis=2)
+    n_tracks = (gathered('found') + gathered('false')).mean(axis=2)
+    purity = np.divide(gathered('purity').mean(axis=2), n_tracks,
+                       out=np.full(n_tracks.shape, np.nan), where=n_tracks > 0)
+    lines: list[str] = []
+    for title, means, digits in (
+            ('Targets found in per cent; the best in bold', 100 * found.mean(axis=2), 0),
+            (f'GOSPA in pixels per batch (order 2, cutoff {compare_runs.CUTOFF_PX:g} px, change '
+             f'of identity {compare_runs.SWITCH_PX:g} px), mean',
+             gathered('gospa').mean(axis=2), 1),
+            ('False trajectories per batch with targets', false, 2),
+            (f'Completeness of targets in per cent: frames within {compare_runs.FOUND_PX:g} px of '
+             'the one trajectory that has most of them',
+             100 * gathered('completeness').mean(axis=2) / n_targets, 0),
+            ('Purity of trajectories in per cent: frames near the one target that has most of '
+             'them', 100 * purity, 0)):
+        rows = []
+        for scene, label in enumerate(SCENES):
+            for point, snr in enumerate(SNRS):
+                cells = ['-' if np.isnan(value) else f'{value:.{digits}f}'
+                         for value in means[scene, point]]
+                if not lines:
+                    leader = leaders[scene, point]
+                    cells[leader] = f'**{cells[leader]}**'
+                rows.append((label, f'{snr:g}', *cells))
+        lines += [f'## {title}', '', *markdown_table(('scene', 'SNR', *names), rows), '']
+    return '\n'.join(lines).rstrip()

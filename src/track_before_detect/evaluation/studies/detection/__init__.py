@@ -1,0 +1,1 @@
+"""Three targets at SNR 3, and noise."""

@@ -1,0 +1,1 @@
+"""The experiments of Guo et al. 2018."""

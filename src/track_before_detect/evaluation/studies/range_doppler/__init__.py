@@ -1,0 +1,1 @@
+"""Range-Doppler maps with and without the coupling."""

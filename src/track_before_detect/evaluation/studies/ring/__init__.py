@@ -1,0 +1,1 @@
+"""The experiments of Fu et al. 2022."""

@@ -1,0 +1,57 @@
+"""Single runs of the suites ``ring-single`` and ``ring-multi`` (Fu et al. 2022, Section 4)."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from track_before_detect.evaluation.metrics.paper_metrics import count_points
+from track_before_detect.evaluation.studies.ring.scenes import (
+    MULTI_V_MAX,
+    point_frames,
+    ring_multi,
+    RING_SIDE_PX,
+    ring_single,
+    SINGLE_V_MAX,
+)
+from track_before_detect.solvers.ring.dynamic_programming import several_targets, single_target
+from track_before_detect.solvers.ring.merit_functions import METHODS
+
+Item = Mapping[str, Any]
+
+
+def single(item: Item) -> dict[str, int]:
+    """Return in how many frames each method has its maximum within a pixel of the target.
+
+    Parameters
+    ----------
+    item : mapping
+        ``case``, ``n_frames``, ``snr`` and ``seed``.
+    """
+    # The target is in the middle of the pixel it raises.
+    truth = np.rint(ring_single(item['case'], item['n_frames']))
+    frames = point_frames(np.random.default_rng(item['seed']), truth[None], item['snr'],
+                          RING_SIDE_PX)
+    return {method: count_points(
+        [single_target(frames, method, SINGLE_V_MAX[item['case']])], [truth],
+        frames.shape).detected for method in METHODS}
+
+
+def multi(item: Item) -> dict[str, list[int]]:
+    """Return detected and false points of each method, which is told the number of targets.
+
+    Parameters
+    ----------
+    item : mapping
+        ``case``, ``snr``, ``n_frames`` and ``seed``.
+    """
+    truth = np.rint(ring_multi(item['case'], item['n_frames']))
+    frames = point_frames(np.random.default_rng(item['seed']), truth, item['snr'], RING_SIDE_PX)
+    counts = {}
+    for method in METHODS:
+        found = several_targets(frames, method, MULTI_V_MAX, len(truth))
+        points = count_points([one.positions for one in found], truth, frames.shape)
+        counts[method] = [points.detected, points.false]
+    return counts

@@ -1,0 +1,1 @@
+"""Compiled fits of amplitudes: group lasso, least squares, shrinkage."""

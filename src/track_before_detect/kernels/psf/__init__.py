@@ -1,0 +1,1 @@
+"""Compiled stamps of a PSF at positions between the pixels, and their statistics."""

@@ -1,0 +1,1 @@
+"""Compiled dynamic programming over whole pixels (Fu et al. 2022)."""

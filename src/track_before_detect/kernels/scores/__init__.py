@@ -1,0 +1,1 @@
+"""Compiled matched filters: what each position adds to the value of a path."""

@@ -1,0 +1,1 @@
+"""Compiled search of the best path over a state graph (Viterbi)."""

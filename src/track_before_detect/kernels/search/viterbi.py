@@ -1,0 +1,402 @@
+"""Best path over the state graph, one segment of straight motion at a time.
+
+Layout of every array
+---------------------
+Positions (y, x) of the grid lie in rows of ``stride`` numbers, of which the first ``n_x`` are
+positions and the rest, at least as many as any move along x, are ``ABSENT``: so a position off the
+grid, on either side, is read as absent and needs no care. Loops run over ``lanes``, n_x rounded up
+to whole vectors; what they write beyond n_x is made absent again.
+
+scores : float32, flat; row y of frame t starts at pad + (t n_y + y) stride
+    Weight of each position in each frame.
+value, before : float32, flat; row (y, v) starts at guard + (y n_v + v) stride
+    Weight of the best path up to and including one segment, by start position of the segment and
+    velocity. The velocities lie between the two position axes so that one row y of all velocities
+    is one contiguous block, which fits the second-level cache. The guard is a row of absent
+    positions.
+best : float32 (Y, X)
+    Largest weight over all velocities of the last segment, which is not stored otherwise.
+marks : uint64 (Y, V), or (Y,) for the last segment
+    Which states are computed: one bit for each block of ``block`` positions, so that one number
+    covers a row. All others keep their values.
+
+Every value is computed by the same operations in the same order whichever others are computed
+beside it, so that a table brought up to date equals a table filled from the start, bit for bit.
+
+The loops over x are small functions of their own on purpose: written into the nest above them
+they are not vectorised. They take whole arrays, flat, with unsigned offsets: a slice for each row
+would cost two atomic updates of a reference count, as long as adding sixty numbers, and a signed
+index would be checked for being negative at each step.
+"""
+
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.kernels.search.borrowed_arrays import borrowed
+from track_before_detect.kernels.search.turn_simd import MOST_ROWS, RUN_SIZE, turn_and_add
+
+ABSENT = np.float32(-1e30)
+# Blocks of positions in a row, one for each bit of a mark.
+BLOCKS = 64
+# What the compiled loops take at a time.
+VECTOR = 32
+
+_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz'}}
+_U = np.uint64
+
+
+class Layout(NamedTuple):
+    """Where the positions lie, see above."""
+
+    n_y: int
+    n_x: int
+    n_v: int
+    stride: int
+    lanes: int
+    block: int
+    pad: int
+    guard: int
+
+
+class Segment(NamedTuple):
+    """One segment of a state graph.
+
+    Attributes
+    ----------
+    offsets : array of int64, shape (V, K)
+        Flat distance of the position in each of its K frames from the start in frame 0.
+    first_y, last_y : array of int64, shape (V,)
+        Rows from which all frames stay on the grid.
+    arrival : array of int64, shape (V, 2)
+        Displacement (x, y) over the segment before; of no rows for the first segment.
+    slots : array of int64, shape (V,)
+        Where each velocity lies on a flat grid of velocities with ``columns`` columns.
+    velocity_at : array of int64, shape (S,)
+        Velocity at each place of that grid, V where there is none, as everywhere within ``reach``
+        of its edges.
+    columns : int
+        Columns of that grid.
+    reach : int
+        Steps by which either component of the velocity may change before the segment.
+    cost : float32
+        Of one step.
+    """
+
+    offsets: NDArray[np.int64]
+    first_y: NDArray[np.int64]
+    last_y: NDArray[np.int64]
+    arrival: NDArray[np.int64]
+    slots: NDArray[np.int64]
+    velocity_at: NDArray[np.int64]
+    columns: int
+    reach: int
+    cost: np.float32
+
+
+@numba.njit(**_COMPILE)
+def fill_row(out, o, n, value):
+    """Write ``value`` to out[o + x]."""
+    for x in range(_U(n)):
+        out[o + x] = value
+
+
+@numba.njit(**_COMPILE)
+def copy_row(out, o, source, a, n):
+    """Write source[a + x] to out[o + x]."""
+    for x in range(_U(n)):
+        out[o + x] = source[a + x]
+
+
+@numba.njit(**_COMPILE)
+def _add(out, o, source, a, n):
+    for x in range(_U(n)):
+        out[o + x] += source[a + x]
+
+
+@numba.njit(**_COMPILE)
+def _add_two(out, o, source, a, b, n):
+    for x in range(_U(n)):
+        out[o + x] += source[a + x] + source[b + x]
+
+
+@numba.njit(**_COMPILE)
+def _add_three(out, o, source, a, b, c, n):
+    for x in range(_U(n)):
+        out[o + x] += source[a + x] + source[b + x] + source[c + x]
+
+
+@numba.njit(**_COMPILE)
+def _add_four(out, o, source, a, b, c, d, n):
+    for x in range(_U(n)):
+        out[o + x] += (source[a + x] + source[b + x]) + (source[c + x] + source[d + x])
+
+
+@numba.njit(**_COMPILE)
+def raise_row(out, o, source, a, n, cost):
+    """Raise out[o + x] to source[a + x] - cost where that is more."""
+    for x in range(_U(n)):
+        other = source[a + x] - cost
+        out[o + x] = out[o + x] if out[o + x] > other else other
+
+
+@numba.njit(**_COMPILE)
+def best_of_three(out, o, source, here, left, right, n, cost):
+    """Write to out[o + x] the best of three, two of them less ``cost``."""
+    for x in range(_U(n)):
+        beside = source[left + x] if source[left + x] > source[right + x] else source[right + x]
+        beside -= cost
+        out[o + x] = source[here + x] if source[here + x] > beside else beside
+
+
+@numba.njit(**_COMPILE)
+def run_of_blocks(marks, b, n_blocks):
+    """Return the first run of marked blocks from block ``b`` on: first, and one past the last."""
+    if b >= n_blocks or not marks >> _U(b):
+        return BLOCKS, BLOCKS
+    if b == 0 and marks == ~_U(0) >> _U(BLOCKS - n_blocks):
+        return 0, n_blocks
+    while not marks >> _U(b) & _U(1):
+        b += 1
+    end = b
+    while end < n_blocks and marks >> _U(end) & _U(1):
+        end += 1
+    return b, end
+
+
+@numba.njit(**_COMPILE)
+def _add_scores(out, o, scores, offsets, v, start, n, t):
+    """Add to out[o + x] the weights met in the frames of a segment from its frame ``t`` on.
+
+    ``start`` is the flat index of the first position left from. Several rows at a time: the
+    running sum is then loaded and stored once for several frames.
+    """
+    n_frames = offsets.shape[1]
+    while t + 4 <= n_frames:
+        _add_four(out, o, scores, _U(start + offsets[v, t]), _U(start + offsets[v, t + 1]),
+                  _U(start + offsets[v, t + 2]), _U(start + offsets[v, t + 3]), n)
+        t += 4
+    if t + 3 == n_frames:
+        _add_three(out, o, scores, _U(start + offsets[v, t]), _U(start + offsets[v, t + 1]),
+                   _U(start + offsets[v, t + 2]), n)
+    elif t + 2 == n_frames:
+        _add_two(out, o, scores, _U(start + offsets[v, t]), _U(start + offsets[v, t + 1]), n)
+    elif t + 1 == n_frames:
+        _add(out, o, scores, _U(start + offsets[v, t]), n)
+
+
+@numba.njit(**_COMPILE)
+def _turn_x(turns, wanted, source, before, velocity_at, reach, cost, block, lanes):
+    """Write to ``turns`` the best within reach along v_x, less the cost a step, where wanted.
+
+    The cost of a turn is the sum of its steps in v_x and v_y, so the maximum over the square of
+    velocities is one over v_x and then one over v_y.
+
+    turns : float32 (S, lanes), flat
+    wanted : uint64 (S,), blocks
+    source : int64 (V + 1,), where before[] holds the best paths that arrive at x = 0
+    """
+    n_blocks = (lanes + block - 1) // block
+    for slot in range(velocity_at.size):
+        b, end = run_of_blocks(wanted[slot], 0, n_blocks)
+        while b < BLOCKS:
+            start = b * block
+            n = min(end * block, lanes) - start
+            o = _U(slot * lanes + start)
+            best_of_three(turns, o, before, _U(source[velocity_at[slot]] + start),
+                          _U(source[velocity_at[slot - 1]] + start),
+                          _U(source[velocity_at[slot + 1]] + start), n, cost)
+            for k in range(2, reach + 1):
+                raise_row(turns, o, before, _U(source[velocity_at[slot - k]] + start), n,
+                          np.float32(k) * cost)
+                raise_row(turns, o, before, _U(source[velocity_at[slot + k]] + start), n,
+                          np.float32(k) * cost)
+            b, end = run_of_blocks(wanted[slot], end, n_blocks)
+
+
+@numba.njit(**_COMPILE)
+def _turn_y(out, o, turns, here, step, reach, cost, n):
+    """Write to out[o + x] the best within reach along v_y of what ``_turn_x`` wrote.
+
+    ``here`` is the flat index in ``turns`` of the first state, ``step`` the distance of rows of
+    velocities there.
+    """
+    best_of_three(out, o, turns, _U(here), _U(here - step), _U(here + step), n, cost)
+    for k in range(2, reach + 1):
+        raise_row(out, o, turns, _U(here - k * step), n, np.float32(k) * cost)
+        raise_row(out, o, turns, _U(here + k * step), n, np.float32(k) * cost)
+
+
+@numba.njit(**_COMPILE)
+def _find_sources(source, y, arrival, n_y, stride, pad, guard):
+    """Write to source[v] where the best paths of velocity v that arrive in row y are held."""
+    n_v = arrival.shape[0]
+    for v in range(n_v):
+        row = y - arrival[v, 1]
+        source[v] = pad
+        if 0 <= row < n_y:
+            source[v] = guard + (row * n_v + v) * stride - arrival[v, 0]
+    source[n_v] = pad
+
+
+@numba.njit(**_COMPILE)
+def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets, n_frames):
+    """Write to ``run`` what ``turn_and_add`` reads and writes, for n velocities from ``slot``."""
+    for k in range(n + 2):
+        here = slot + (k - 1) * columns
+        run[3 * k] = source[velocity_at[here]]
+        run[3 * k + 1] = source[velocity_at[here - 1]]
+        run[3 * k + 2] = source[velocity_at[here + 1]]
+    for k in range(n):
+        v = velocity_at[slot + k * columns]
+        run[3 * (n + 2) + k] = place + v * step
+        for t in range(n_frames):
+            run[4 * n + 6 + k * n_frames + t] = first + offsets[v, t]
+
+
+@numba.njit(**_COMPILE)
+def _extend_row(out, place, step, y, marks, m, before, scores, offsets, first_y, last_y, arrival,
+                slots, velocity_at, columns, reach, cost, layout, source, wanted, turns, run):
+    """Extend the best paths by one segment in row ``y``, where marks[m] says so.
+
+    The row of velocity v is written from out[place + v * step] on. The arrays are those of a
+    ``Segment``, then work space, see ``_work_space``.
+    """
+    n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
+    n_blocks = (lanes + block - 1) // block
+    starting = before.size == 0
+    near = reach == 1 and not starting
+    # How many neighbours along v_y are computed together, and frames added at once.
+    most = MOST_ROWS if near else 1
+    n_frames = offsets.shape[1]
+    done = 0
+    if near:
+        done = 4 if n_frames >= 4 else 2 if n_frames >= 2 else 1
+    first = pad + y * stride
+    if not starting:
+        _find_sources(source, y, arrival, n_y, stride, pad, guard)
+        if reach > 1:
+            wanted[:] = 0
+            for v in range(n_v):
+                for k in range(-reach, reach + 1):
+                    wanted[slots[v] + k * columns] |= marks[m, v]
+            _turn_x(turns, wanted, source, before, velocity_at, reach, cost, block, lanes)
+    for column in range(columns):
+        slot = column
+        while slot < velocity_at.size:
+            v = velocity_at[slot]
+            if v == n_v:
+                slot += columns
+                continue
+            inside = first_y[v] <= y < last_y[v]
+            n = 1
+            while n < most:
+                other = velocity_at[slot + n * columns]
+                if (other == n_v or marks[m, other] != marks[m, v]
+                        or (first_y[other] <= y < last_y[other]) != inside):
+                    break
+                n += 1
+            if near and inside:
+                _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets,
+                          done)
+            b, end = run_of_blocks(marks[m, v], 0, n_blocks)
+            while b < BLOCKS:
+                start = b * block
+                stop = min(end * block, lanes)
+                if near and inside:
+                    turn_and_add(out, before, scores, run, n, done, cost, start, stop)
+                for k in range(n):
+                    other = velocity_at[slot + k * columns]
+                    o = place + other * step
+                    if not inside:
+                        fill_row(out, _U(o + start), stop - start, ABSENT)
+                        continue
+                    if starting:
+                        fill_row(out, _U(o + start), stop - start, np.float32(0))
+                    elif reach > 1:
+                        _turn_y(out, _U(o + start), turns, slot * lanes + start, columns * lanes,
+                                reach, cost, stop - start)
+                    # Not called for nothing: a call takes as long as adding fifty numbers.
+                    if done < n_frames:
+                        _add_scores(out, _U(o + start), scores, offsets, other, first + start,
+                                    stop - start, done)
+                    for x in range(n_x, stop):
+                        out[o + x] = ABSENT
+                b, end = run_of_blocks(marks[m, v], end, n_blocks)
+            slot += n * columns
+
+
+@numba.njit(**_COMPILE)
+def _work_space(before, segment, layout):
+    """Return source, wanted, turns and run of ``_extend_row``."""
+    n_slots = segment.velocity_at.size
+    far = before.size > 0 and segment.reach > 1
+    return (np.empty(layout.n_v + 1, np.int64), np.empty(n_slots, np.uint64),
+            np.full(n_slots * layout.lanes if far else 0, ABSENT),
+            np.empty(RUN_SIZE, np.int64))
+
+
+@numba.njit(**_COMPILE)
+def extend_paths(value, before, scores, segment, layout, marks, first_row, last_row):
+    """Extend the best paths by one segment, rows ``first_row`` to ``last_row`` of ``value``.
+
+    value[y, v, x] = max over v' near v of (before[p - arrival(v'), v'] - cost * |v - v'|)
+                     + sum over frames of scores[t, p + move(t, v)],   p = (y, x)
+
+    ``before`` of no states starts the paths: the maximum is then zero.
+    """
+    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed``.
+    value, before, scores = borrowed(value), borrowed(before), borrowed(scores)
+    offsets, marks = borrowed(segment.offsets), borrowed(marks)
+    # Taken out once: each use of a tuple that holds arrays updates their reference counts.
+    first_y, last_y = segment.first_y, segment.last_y
+    arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
+    columns, reach, cost = segment.columns, segment.reach, segment.cost
+    source, wanted, turns, run = _work_space(before, segment, layout)
+    for y in range(first_row, last_row):
+        some = _U(0)
+        for v in range(layout.n_v):
+            some |= marks[y, v]
+        if some:
+            _extend_row(value, layout.guard + y * layout.n_v * layout.stride, layout.stride, y,
+                        marks, y, before, scores, offsets, first_y, last_y, arrival, slots,
+                        velocity_at, columns, reach, cost, layout, source, wanted, turns, run)
+
+
+@numba.njit(**_COMPILE)
+def finish_paths(best, before, scores, segment, layout, marks, first_row, last_row):
+    """Write the largest weight over all velocities after the last segment to best[y, x].
+
+    The weights are those of the function ``extend_paths``.
+    """
+    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed``.
+    before, scores = borrowed(before), borrowed(scores)
+    offsets = borrowed(segment.offsets)
+    # Taken out once: each use of a tuple that holds arrays updates their reference counts.
+    first_y, last_y = segment.first_y, segment.last_y
+    arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
+    columns, reach, cost = segment.columns, segment.reach, segment.cost
+    n_v, n_x, lanes = layout.n_v, layout.n_x, layout.lanes
+    n_blocks = (lanes + layout.block - 1) // layout.block
+    flat_best = best.reshape(best.size)
+    source, wanted, turns, run = _work_space(before, segment, layout)
+    value = np.empty(n_v * lanes, np.float32)
+    same = np.empty((1, n_v), np.uint64)
+    for y in range(first_row, last_row):
+        if not marks[y]:
+            continue
+        same[:] = marks[y]
+        _extend_row(value, 0, lanes, y, same, 0, before, scores, offsets, first_y, last_y,
+                    arrival, slots, velocity_at, columns, reach, cost, layout, source, wanted,
+                    turns, run)
+        b, end = run_of_blocks(marks[y], 0, n_blocks)
+        while b < BLOCKS:
+            start = b * layout.block
+            n = min(end * layout.block, n_x) - start
+            o = _U(y * n_x + start)
+            fill_row(flat_best, o, n, ABSENT)
+            for v in range(n_v):
+                raise_row(flat_best, o, value, _U(v * lanes + start), n, np.float32(0))
+            b, end = run_of_blocks(marks[y], end, n_blocks)

@@ -1,0 +1,99 @@
+"""A plane that several sensors see, each in its own pixels and with its own PSF."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+import hashlib
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect import geometry
+from track_before_detect.kernels.psf.measurement import curvatures, Sight
+from track_before_detect.models.measurement.psf import Psf
+
+# Places of the plane, along each side, at which the sharpness of the PSFs is looked at.
+N_PLACES = 3
+# Grid positions per pixel of the sharpest sensor with a standard deviation of one pixel, and the
+# most per pixel of the plane.
+POSITIONS_PER_SIGMA = 2.0
+MOST_PER_PX = 4
+
+
+@dataclass(frozen=True, eq=False)
+class PlaneView:
+    """How each frame of a batch sees the positions of a common plane.
+
+    It stands where the PSF of a single sensor does; positions are pixels of the plane.
+
+    Attributes
+    ----------
+    psfs : tuple of Psf
+        One for each sensor, in its own pixels.
+    shapes : tuple of (int, int)
+        (H, W) of each sensor's frames; frames of a batch are padded to the largest.
+    sensor : array of int, shape (T,)
+        Which sensor took each frame.
+    maps : array, shape (T, 3, 3)
+        Takes the plane to the pixels of each frame, see the module ``geometry``.
+    shape : tuple of int
+        (H, W) of the plane, whose first pixel centre is (0, 0).
+    """
+
+    psfs: tuple[Psf, ...]
+    shapes: tuple[tuple[int, int], ...]
+    sensor: NDArray[np.int64]
+    maps: NDArray[np.float64]
+    shape: tuple[int, int]
+
+    @property
+    def frame_shape(self) -> tuple[int, int]:
+        """(H, W) that frames are padded to."""
+        return max(h for h, _ in self.shapes), max(w for _, w in self.shapes)
+
+    @cached_property
+    def key(self) -> str:
+        """Text that differs between views that differ."""
+        digest = hashlib.sha256(np.round(self.maps, 6).tobytes())
+        digest.update(np.asarray(self.sensor, np.int64).tobytes())
+        psfs = ', '.join(psf.key for psf in self.psfs)
+        return f'PlaneView({psfs}, {self.shapes}, {self.shape}, {digest.hexdigest()})'
+
+    @cached_property
+    def _curvature(self):
+        """Curvature of the statistic on the plane, shape (places, T, 2)."""
+        sight = self.sight(for_climbing=True)
+        found = np.empty((N_PLACES**2, len(self.maps), 2))
+        places = np.stack(np.meshgrid(*(np.linspace(0, size - 1, N_PLACES)
+                                        for size in self.shape[::-1])), axis=-1)
+        for place, out in zip(places.reshape(-1, 2), found, strict=True):
+            curvatures(sight, np.tile(place, (len(self.maps), 1)), out)
+        return found
+
+    @property
+    def width_px(self) -> float:
+        """Standard deviation, on the plane, of the sharpest PSF as a Gaussian."""
+        return float(1 / math.sqrt(self._curvature.sum(axis=-1).max()))
+
+    @property
+    def oversampling(self) -> int:
+        """Grid positions per pixel of the plane that the sharpest sensor asks for."""
+        sigma = 1 / math.sqrt(2 * self._curvature.max())
+        return int(np.clip(math.ceil(POSITIONS_PER_SIGMA / sigma - 1e-6), 1, MOST_PER_PX))
+
+    def sight(self, for_climbing: bool = False) -> Sight:
+        """Return what compiled loops need; the curvature of the PSFs only for climbing."""
+        optics = tuple(psf.optics(psf.curvature if for_climbing else None) for psf in self.psfs)
+        return Sight(optics, np.asarray(self.sensor, np.int64), np.ascontiguousarray(self.maps))
+
+    def limits(self, _: tuple[int, int]) -> NDArray[np.float64]:
+        """Return the largest x and y of a position."""
+        return np.array([self.shape[1] - 1.0, self.shape[0] - 1.0])
+
+    def window(self, shape: tuple[int, int]) -> PlaneView:
+        """Return the view of a part (H, W) in the middle of the plane."""
+        offset = [(self.shape[1] - shape[1]) // 2, (self.shape[0] - shape[0]) // 2]
+        return replace(self, maps=self.maps @ geometry.translations(np.array([offset])),
+                       shape=shape)

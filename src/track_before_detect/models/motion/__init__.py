@@ -1,0 +1,1 @@
+"""Which paths a target may take: graphs of states, velocities and transitions."""

@@ -1,0 +1,1 @@
+"""The threshold that belongs to a false alarm rate."""

@@ -1,0 +1,246 @@
+"""The threshold that a requested false alarm rate asks for, found by searching noise.
+
+The largest statistic in pure noise is simulated on crops of the frame. Crops are independent and
+alike, so the number of false trajectories in a frame is Poisson with a mean that grows with the
+effective area. How that mean falls off further out than the maxima reach is known but for one
+number where the statistic is made of normal ones; otherwise it is taken to fall exponentially.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+import hashlib
+import logging
+import math
+import os
+from pathlib import Path
+import tempfile
+import threading
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from track_before_detect.parallel import map_in_threads
+from track_before_detect.types import Progress
+
+_LOG = logging.getLogger(__name__)
+
+# Crops are as large as the frame up to this side: maxima of small crops cannot be scaled to large
+# frames exactly, since paths near a border have fewer ways to go.
+CROP_PX = 128
+# Steps in which crops get smaller where the least number of them would take too long.
+SMALLER_PX = 16
+# Area searched for a calibration, in crops of full size; smaller ones are searched more of.
+N_CROPS = 800
+MOST_CROPS = 2800
+# CPU time that a calibration should take at most by its formula, but for the crops it needs at
+# least: half a minute on two cores, where loops get in each other's way. With 150
+# instead of 800 crops the realised rate is uncertain by 26 % instead of 12 % where 0.05 is asked
+# for at 128 x 128 pixels (one standard deviation, by drawing from the maxima of 800).
+MOST_SECONDS = 56.0
+LEAST_CROPS = 150
+# Share of the maxima, the largest, that the tail is fitted to. With a quarter, the rate that comes
+# where 0.005 is asked for at 64 x 64 pixels is 0.90 of it, give or take 0.13 (one standard
+# deviation, by drawing 3200 of 15,200 maxima); with a half 0.87 and 0.10, with the largest 150
+# 0.96 and 0.23, and with an exponential fitted to these 0.93 and 0.23.
+TAIL = 0.25
+# Number of largest maxima, and their largest share, that an exponential tail is fitted to: enough
+# for its slope, and few, because the slope grows slowly all the way out.
+N_EXPONENTIAL = 150
+EXPONENTIAL_TAIL = 3 / 16
+SEED = 20240720
+# Part of the key of every cached calibration: change it when the search gives other values.
+REVISION = 6
+
+
+@dataclass(frozen=True)
+class NoiseStudy:
+    """What a calibration has to know of a detector.
+
+    Attributes
+    ----------
+    key : str
+        Names everything that decides what is found in noise, apart from the size of the frames.
+    area : callable
+        Told (H, W), returns the number of places in which a trajectory can start: the number of
+        false ones is in proportion.
+    searcher : callable
+        Told (H, W), returns a function that draws one batch of noise of that size from the
+        generator it is given and returns the largest statistic in it. One is made per thread.
+    whole_width : bool
+        Whether columns differ, so that a narrower batch would not be like the whole.
+    seconds : callable
+        Told (H, W), returns the CPU time of one such search on a common machine, roughly: where
+        it is long, fewer are made. A formula, so that equal calibrations stay equal.
+    least_crop_px : int
+        Smallest side of crops whose maxima can be scaled to larger frames.
+    decay : float, optional
+        Of a statistic that is a norm or a weighted sum of normal numbers: one over twice their
+        variance, 1/2 for real noise and 1 for complex.
+    """
+
+    key: str
+    area: Callable[[tuple[int, int]], float]
+    searcher: Callable[[tuple[int, int]], Callable[[np.random.Generator], float]]
+    whole_width: bool = False
+    seconds: Callable[[tuple[int, int]], float] = lambda shape: 0.0
+    least_crop_px: int = CROP_PX
+    decay: float | None = None
+
+
+def noise_frames(generator: np.random.Generator, shape: tuple[int, ...],
+                 is_complex: bool) -> NDArray:
+    """Draw noise of unit variance, float32 or complex64, for a searcher of a study."""
+    noise = generator.standard_normal(shape, dtype=np.float32)
+    if not is_complex:
+        return noise
+    imaginary = generator.standard_normal(shape, dtype=np.float32)
+    return (noise + 1j * imaginary) * np.float32(0.5**0.5)
+
+
+def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,
+                  progress: Progress | None = None) -> float:
+    """Return the threshold on the statistic for a false alarm rate.
+
+    Parameters
+    ----------
+    study : NoiseStudy
+        The detector.
+    shape : tuple of int
+        (H, W) of the frames.
+    rate : float
+        Probability that a batch of pure noise holds a trajectory above the threshold.
+    progress : callable, optional
+        Called with a label and the share done, 0 to 1.
+    """
+    crop = _crop(study, shape)
+    # The square of a statistic has the tail nearest to an exponential.
+    maxima = np.sort(_noise_maxima(study, crop, progress)**2)
+    mean_count = -np.log1p(-rate) * study.area(crop) / study.area(shape)
+    if study.decay is None:
+        return float(np.sqrt(_exponential_value(maxima, mean_count)))
+    return float(np.sqrt(_chi_squared_value(maxima, mean_count, study.decay)))
+
+
+def _chi_squared_value(ordered, mean_count, decay):
+    """Value of a sum of squares that ``mean_count`` paths in a crop pass on average.
+
+    The sum passes x in about x^k exp(-decay x) places of a crop when x is large (Worsley,
+    Local maxima and the expected Euler characteristic of excursion sets of chi-squared, F and t
+    fields, 1994), with a power k that grows with the frames and the freedom of paths. It is the
+    one that makes the largest maxima likeliest.
+    """
+    start, count = _tail(ordered, TAIL)
+    if mean_count > count:
+        return float(np.quantile(ordered, np.exp(-mean_count)))
+    far = ordered[ordered > start]
+    logarithms = np.log(far / start)
+
+    def passing(power):
+        return count * np.exp(power * logarithms - decay * (far - start))
+
+    def likelier(power):
+        # Derivative of the log likelihood, for the largest of a crop passes x with probability
+        # 1 - exp(-number of places). It falls all the way.
+        return float(np.sum((1 - passing(power)) * logarithms - 1 / (decay * far - power)))
+
+    # With the largest power the number does not fall at the start.
+    highest = decay * start
+    lowest = -highest
+    while likelier(lowest) <= 0:
+        lowest *= 2
+    power = brentq(likelier, lowest, highest) if likelier(highest) < 0 else highest
+
+    def too_many(value):
+        return (np.log(count / mean_count) + power * np.log(value / start)
+                - decay * (value - start))
+
+    end = 2 * start
+    while too_many(end) > 0:
+        end *= 2
+    return float(brentq(too_many, start, end))
+
+
+def _exponential_value(ordered, mean_count):
+    """Value that ``mean_count`` paths in a crop pass on average."""
+    start, count = _tail(ordered, min(N_EXPONENTIAL / len(ordered), EXPONENTIAL_TAIL))
+    if mean_count > count:
+        return float(np.quantile(ordered, np.exp(-mean_count)))
+    scale = float(np.mean(ordered[ordered > start])) - start
+    return start + scale * float(np.log(count / mean_count))
+
+
+def _tail(ordered, share):
+    """Return where the largest maxima begin, and how many paths of a crop pass it on average."""
+    return float(np.quantile(ordered, 1 - share)), -math.log1p(-share)
+
+
+def _noise_maxima(study, crop, progress):
+    """Return the largest statistic of each crop of noise, from the cache where it is known."""
+    path = _cache_folder() / f'noise-{_key(study, crop)}.npy'
+    try:
+        maxima = np.load(path, allow_pickle=False)
+        if maxima.shape == (_crop_count(study, crop),) and np.all(np.isfinite(maxima)):
+            return maxima
+    except (OSError, ValueError, EOFError):
+        pass
+    maxima = _simulate(study, crop, progress)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix='.partial-') as folder:
+            aside = Path(folder) / path.name
+            np.save(aside, maxima)
+            os.replace(aside, path)
+    except OSError as error:
+        _LOG.warning('the threshold calibration could not be kept for the next run: %s', error)
+    return maxima
+
+
+def _simulate(study, crop, progress):
+    """Search crops of noise on all cores; each crop has its own seed, so order is no matter."""
+    local = threading.local()
+    done = 0
+    lock = threading.Lock()
+    n_crops = _crop_count(study, crop)
+    seeds = np.random.SeedSequence(SEED).spawn(n_crops)
+
+    def largest(seed):
+        nonlocal done
+        if not hasattr(local, 'search'):
+            local.search = study.searcher(crop)
+        value = local.search(np.random.default_rng(seed))
+        with lock:
+            done += 1
+            if progress is not None and done % 10 == 0:
+                progress('calibrating the threshold on noise', done / n_crops)
+        return value
+
+    return np.array(map_in_threads(largest, seeds))
+
+
+def _crop(study, shape):
+    """Return (H, W) of the crops of noise that are searched for frames of a shape."""
+    for side in range(CROP_PX, study.least_crop_px - 1, -SMALLER_PX):
+        width = shape[1] if study.whole_width else min(shape[1], side)
+        crop = (min(shape[0], side), width)
+        if LEAST_CROPS * study.seconds(crop) <= MOST_SECONDS:
+            break
+    return crop
+
+
+def _crop_count(study, crop):
+    wanted = min(round(N_CROPS * CROP_PX**2 / (crop[0] * crop[1])), MOST_CROPS)
+    fitting = MOST_SECONDS / max(study.seconds(crop), 1e-9)
+    return wanted if fitting >= wanted else min(wanted, max(round(fitting), LEAST_CROPS))
+
+
+def _key(study, crop):
+    text = repr((REVISION, _crop_count(study, crop), SEED, crop, study.key))
+    return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _cache_folder() -> Path:
+    base = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
+    return Path(base) / 'track_before_detect'

@@ -1,0 +1,1 @@
+"""Target cancellation, whole and by direction (Guo et al. 2018)."""

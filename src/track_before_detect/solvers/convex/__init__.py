@@ -1,0 +1,1 @@
+"""The convex detector: subspace pursuit with continuation."""

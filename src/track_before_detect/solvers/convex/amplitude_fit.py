@@ -1,0 +1,128 @@
+"""Amplitudes of a few paths that overlap, at any t and for any amplitude model."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.kernels.fit import constant_modulus, group_lasso, least_squares
+from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, NON_NEGATIVE
+from track_before_detect.solvers.convex.detector import bounded_moduli
+
+MOST_ROUNDS = 200
+# Sweeps over amplitudes of constant modulus: at t = 1 another method takes over from there.
+MOST_SWEEPS, SWEEPS_AT_FIRST = 2000, 300
+# Share of the energy of the data below which a duality gap is lost in rounding, and that to which
+# moduli are bounded.
+ROUNDING = 1e-12
+MODULI_ROUNDING = 1e-10
+
+
+def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
+                   t_convex: float, model: AmplitudeModel, energy: float,
+                   gap: float, courses: NDArray | None = None) -> tuple[NDArray, bool]:
+    """Minimise 1/2 x'Gx - h'x + t sum w_p |x_p| over the amplitudes x of given paths.
+
+    Moduli that are constant are held so at t < 1, where they end at a stationary point that is no
+    worse than the start; at t = 1 they are bounded instead, with the norm that the amplitude model
+    has for it, and the problem is convex.
+
+    Parameters
+    ----------
+    amplitudes : array, shape (P, T)
+        Where to start.
+    matched : array, shape (P, T)
+        Inner products h of the stamps with the data.
+    gram : array, shape (P, P, T)
+        Inner products of the stamps of two paths in one frame.
+    weights : array, shape (P,)
+        lambda of each path.
+    t_convex : float
+        t, from 1 (convex) to 0 (combinatorial).
+    model : AmplitudeModel
+        What amplitudes may be.
+    energy : float
+        Half the squared norm of the data.
+    gap : float
+        Duality gap to reach where t > 0; at t = 0 the optimum is reached to rounding.
+    courses : array, shape (P, T), optional
+        Of constant amplitudes: how they are in proportion, of unit norm; all equal unless given.
+
+    Returns
+    -------
+    amplitudes : array, shape (P, T)
+    converged : bool
+    """
+    constant = model.is_constant
+    if courses is None:
+        courses = np.full(amplitudes.shape, 1 / math.sqrt(amplitudes.shape[1]))
+    if model.has_one_modulus:
+        return _fit_moduli(amplitudes, matched, gram, courses, weights, t_convex, energy,
+                           max(gap, MODULI_ROUNDING * energy))
+    if constant:
+        # One amplitude for each path: its column joins all frames.
+        x = np.sum(courses * amplitudes, axis=1, keepdims=True)
+        matched = np.sum(courses * matched, axis=1, keepdims=True)
+        gram = np.einsum('pt,pqt,qt->pq', courses, gram, courses)[:, :, None]
+    else:
+        x = amplitudes.copy()
+    non_negative = model.code in (CONSTANT, NON_NEGATIVE)
+    # As (P, D, T): a complex number is D = 2 real ones.
+    x, matched = _in_parts(x), _in_parts(matched)
+    if t_convex == 0.0:
+        converged = least_squares.solve(x, matched, np.ascontiguousarray(gram), non_negative)
+    else:
+        # Columns over their weights have the one weight t.
+        x *= weights[:, None, None]
+        wanted = max(gap, ROUNDING * energy)
+        reached, _ = group_lasso.solve(
+            x, matched / weights[:, None, None],
+            gram / (weights[:, None] * weights)[:, :, None], np.empty_like(x), t_convex,
+            non_negative, energy, wanted, MOST_ROUNDS)
+        converged = reached <= wanted
+        x /= weights[:, None, None]
+    fitted = x[:, 0] + 1j * x[:, 1] if model.is_complex else x[:, 0]
+    return courses * fitted if constant else fitted, converged
+
+
+def _fit_moduli(amplitudes, matched, gram, courses, weights, t_convex, energy, wanted):
+    """Fit amplitudes of constant modulus and free phase."""
+    x = np.array(amplitudes, complex)
+    matched = np.ascontiguousarray(matched, complex)
+    gram, courses = np.ascontiguousarray(gram), np.ascontiguousarray(courses)
+    convex = t_convex == 1.0
+    left = constant_modulus.descend(
+        x, np.empty(len(x)), matched, gram, courses, t_convex * weights, convex, energy, wanted,
+        SWEEPS_AT_FIRST if convex else MOST_SWEEPS)
+    if convex and left > wanted:
+        x, left = bounded_moduli.solve(matched, gram, courses, weights, energy, wanted)
+    return x, left <= wanted
+
+
+def _in_parts(values):
+    """Return a copy of values (P, T) as real numbers, shape (P, 1, T) or (P, 2, T)."""
+    parts = (values.real, values.imag) if np.iscomplexobj(values) else (values,)
+    return np.ascontiguousarray(np.stack(parts, axis=1), np.float64)
+
+
+def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
+              t_convex: float, norms: NDArray | None = None) -> float:
+    """Return F_t without the energy of the data.
+
+    F_t = 1/2 x'Gx - h'x + t sum w_p |x_p| + 1/2 (1 - t)^2 sum of w_p^2 over paths with x_p != 0
+
+    Parameters
+    ----------
+    amplitudes, matched, gram, weights, t_convex
+        As in :func:`fit_amplitudes`.
+    norms : array, shape (P,), optional
+        |x_p| of each path where it is not the Euclidean norm.
+    """
+    explained = np.einsum('pqt,qt->pt', gram, amplitudes)
+    if norms is None:
+        norms = np.linalg.norm(amplitudes, axis=1)
+    return float(np.vdot(amplitudes, 0.5 * explained - matched).real
+                 + t_convex * np.sum(weights * norms)
+                 + 0.5 * (1 - t_convex)**2 * np.sum(weights[norms > 0]**2))

@@ -1,0 +1,414 @@
+"""The working set: paths between the pixels, their amplitudes and how they overlap.
+
+Frames are independent, so two paths meet through one number per frame, the inner product of
+their stamps. With those numbers and the matched filter of the data along each path the objective
+needs no pixels (Patent Eq. 6-8).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.kernels.psf import psf_stamps as stamp_kernels
+from track_before_detect.kernels.psf.measurement import render_path, whole_norm
+from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.measurement.multi_sensor import PlaneView
+from track_before_detect.models.measurement.psf import Psf
+from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes, objective
+
+# Duality gap, in units of F_t, to which amplitudes are fitted: F_t is compared to 1e-3.
+FIT_GAP = 1e-4
+
+
+class PathSet:
+    """Paths with amplitudes and the residual they leave.
+
+    Parameters
+    ----------
+    frames : float32 array, shape (T, H, W)
+        Frames of unit noise, masked pixels zero.
+    weights : array, shape (T, H, W), (1, H, W) or (0, 0, 0)
+        One over the noise of each pixel, zero where masked; of no frames where it is one.
+    psf : Psf or PlaneView
+        What a target looks like.
+    threshold : float
+        lambda of a path without turns.
+    model : AmplitudeModel
+        Of the amplitudes.
+    period : int, optional
+        Columns after which the frames repeat, where they do: a path that explains something in
+        one of them explains it in all, though it was seen but once.
+
+    Attributes
+    ----------
+    positions : list of array, shape (T, 2)
+        x and y in pixels of each path, NaN where it is absent.
+    costs : list of float
+        Cost of the turns and of being present, which raises lambda of the path.
+    settled : list of bool
+        Whether a path was refined where it is, apart from all others.
+    weights : array, shape (P,)
+        lambda of each path.
+    matched : array, shape (P, T)
+        Matched filter of the data along each path.
+    amplitudes : array, shape (P, T)
+    residual : float32 array, shape (T, H, W)
+        Frames less the fit.
+    work : int
+        Of all fits so far: the sum of the cubes of their members, as a Newton step takes.
+    """
+
+    def __init__(self, frames: NDArray, weights: NDArray, psf: Psf | PlaneView,
+                 threshold: float, model: AmplitudeModel, period: int | None = None):
+        self.model = model
+        # Where the columns of a stamp are found again, itself included.
+        self._repeats = np.zeros((1, 2), np.int64)
+        if period is not None:
+            n_repeats = -(-frames.shape[2] // period)
+            self._repeats = np.zeros((2 * n_repeats + 1, 2), np.int64)
+            self._repeats[:, 0] = period * np.arange(-n_repeats, n_repeats + 1)
+        self.frames = frames
+        self._pixel_weights = np.asarray(weights, np.float32)
+        self._sight = psf.sight()
+        self._whole_norm = whole_norm(self._sight, frames.shape[1:])
+        self.threshold = threshold
+        self.positions: list[NDArray] = []
+        self.costs: list[float] = []
+        self.settled: list[bool] = []
+        self._stamps: list[NDArray] = []
+        self._origins: list[NDArray] = []
+        self._norms: list[NDArray] = []
+        n_frames = len(frames)
+        number = complex if model.is_complex else float
+        self.matched = np.empty((0, n_frames), number)
+        self.weights = np.empty(0)
+        self._courses = np.empty((0, n_frames))
+        self.amplitudes = np.empty((0, n_frames), number)
+        # Most paths of a large scene are far apart: only the overlaps of those that meet are
+        # held, one row for each pair; row 0, of zeros, stands for all others.
+        self._pairs = np.empty((0, 0), np.int32)
+        self._overlaps = np.zeros((64, n_frames))
+        self._free_rows = list(range(63, 0, -1))
+        self.residual = frames.copy()
+        self.work = 0
+        # Frame by frame, so that no copy of all frames in double precision is made.
+        once = frames[:, :, :period]
+        parts = (once.real, once.imag) if model.is_complex else (once,)
+        self.energy = 0.5 * sum(
+            float(np.sum(np.square(frame, dtype=np.float64))) for part in parts for frame in part)
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    def add(self, positions: NDArray, cost: float) -> None:
+        """Append a path with amplitude zero."""
+        self.positions.append(positions)
+        self.costs.append(cost)
+        self.settled.append(False)
+        stamps, origins, norms = self._render(positions)
+        self._stamps.append(stamps)
+        self._origins.append(origins)
+        self._norms.append(norms)
+        self._courses = np.concatenate([self._courses, self._course(norms)[None]])
+        nothing = np.zeros((1, len(self.frames)), self.matched.dtype)
+        self.matched = np.concatenate([self.matched, nothing])
+        self.amplitudes = np.concatenate([self.amplitudes, nothing])
+        self.weights = np.append(self.weights, self._weight(norms, cost))
+        self._pairs = np.pad(self._pairs, (0, 1))
+        self._relate(len(self) - 1)
+
+    def move(self, path: int, positions: NDArray, cost: float) -> None:
+        """Put a path elsewhere, its amplitudes unchanged."""
+        self._take(path, -1.0)
+        self.positions[path] = positions
+        self.costs[path] = cost
+        self.settled[path] = False
+        (self._stamps[path], self._origins[path],
+         self._norms[path]) = self._render(positions)
+        self._courses[path] = self._course(self._norms[path])
+        self.weights[path] = self._weight(self._norms[path], cost)
+        self._relate(path)
+        self._take(path, 1.0)
+
+    def remove(self, paths: NDArray) -> None:
+        """Drop some paths."""
+        for path in paths:
+            self._take(path, -1.0)
+        keep = np.setdiff1d(np.arange(len(self)), paths)
+        self.positions = [self.positions[p] for p in keep]
+        self.costs = [self.costs[p] for p in keep]
+        self.settled = [self.settled[p] for p in keep]
+        self._stamps = [self._stamps[p] for p in keep]
+        self._origins = [self._origins[p] for p in keep]
+        self._norms = [self._norms[p] for p in keep]
+        self._courses = self._courses[keep]
+        self.matched = self.matched[keep]
+        self.amplitudes = self.amplitudes[keep]
+        self.weights = self.weights[keep]
+        self._release(np.unique(self._pairs[paths]))
+        self._pairs = self._pairs[np.ix_(keep, keep)]
+
+    def fitted(self, members: NDArray, t_convex: float,
+               gap: float = FIT_GAP) -> tuple[float, NDArray, bool]:
+        """Fit the amplitudes of some paths to a duality gap, all others fixed.
+
+        Returns
+        -------
+        objective : float
+            F_t as far as it depends on these paths.
+        amplitudes : array, shape (len(members), T)
+        converged : bool
+        """
+        self.work += len(members)**3
+        problem = self._problem(members)
+        amplitudes, converged = fit_amplitudes(self.amplitudes[members], *problem, t_convex,
+                                               self.model, self.energy, gap,
+                                               self._courses[members])
+        norms = self.model.norms(amplitudes, self._courses[members])
+        return objective(amplitudes, *problem, t_convex, norms), amplitudes, converged
+
+    def objective_of(self, members: NDArray, t_convex: float) -> float:
+        """Return F_t as far as it depends on some paths, all others fixed."""
+        amplitudes = self.amplitudes[members]
+        norms = self.model.norms(amplitudes, self._courses[members])
+        return objective(amplitudes, *self._problem(members), t_convex, norms)
+
+    def _problem(self, members: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+        """Return matched filter less the fit of all other paths, overlaps and weights."""
+        pairs = self._pairs[members]
+        met = pairs.any(axis=0)
+        met[members] = False
+        matched = self.matched[members]
+        if met.any():
+            others = np.flatnonzero(met)
+            matched -= np.einsum('pqt,qt->pt', self._overlaps[pairs[:, others]],
+                                 self.amplitudes[others])
+        return matched, self._overlaps[pairs[:, members]], self.weights[members]
+
+    def assign(self, members: NDArray, amplitudes: NDArray) -> None:
+        """Set the amplitudes of some paths and bring the residual up to date."""
+        for row, path in enumerate(members):
+            change = amplitudes[row] - self.amplitudes[path]
+            self.amplitudes[path] = amplitudes[row]
+            # Smaller changes vanish in the single precision of the residual.
+            if np.abs(change).max() > 1e-7:
+                self._accumulate(path, -change)
+
+    def neighbours(self, path: int) -> NDArray[np.int64]:
+        """Return the paths that overlap this one in some frame, itself included."""
+        near = self._pairs[path] > 0
+        near[path] = True
+        return np.flatnonzero(near)
+
+    def clusters(self) -> list[NDArray[np.int64]]:
+        """Return the sets of paths that overlap, directly or through others."""
+        # Most paths are alone, and a graph library takes longer to start than this does.
+        left = np.ones(len(self), bool)
+        clusters = []
+        for path in range(len(self)):
+            if not left[path]:
+                continue
+            members = np.zeros(len(self), bool)
+            members[path] = True
+            size = 0
+            while size < members.sum():
+                size = int(members.sum())
+                members |= self._pairs[members].any(axis=0)
+            left &= ~members
+            clusters.append(np.flatnonzero(members))
+        return clusters
+
+    def objective(self, t_convex: float) -> float:
+        """Return F_t, the energy of the data included."""
+        fit = np.vdot(self.amplitudes, self.explained()).real
+        norms = self.model.norms(self.amplitudes, self._courses)
+        used = self.weights[norms > 0]
+        return float(self.energy + 0.5 * fit - np.vdot(self.amplitudes, self.matched).real
+                     + t_convex * np.sum(self.weights * norms)
+                     + 0.5 * (1 - t_convex)**2 * math.fsum(used**2))
+
+    def explained(self) -> NDArray:
+        """Return the matched filter of the fit along each path, shape (P, T)."""
+        first, second = np.nonzero(self._pairs)
+        products = self._overlaps[self._pairs[first, second]] * self.amplitudes[second]
+        total = np.zeros_like(self.amplitudes)
+        if len(first):
+            starts = np.flatnonzero(np.diff(first, prepend=-1))
+            total[first[starts]] = np.add.reduceat(products, starts)
+        return total
+
+    @contextmanager
+    def without(self, *paths: int) -> Iterator[NDArray]:
+        """Lend the frames less the fit of all paths but these."""
+        for path in paths:
+            self._take(path, -1.0)
+        try:
+            yield self.residual
+        finally:
+            for path in paths:
+                self._take(path, 1.0)
+
+    def similarity(self, path: int) -> NDArray:
+        """Return the mean overlap with every path while a path is present, shape (P,)."""
+        overlaps = self._overlaps[self._pairs[path]]
+        return overlaps.sum(axis=1) / max(np.count_nonzero(overlaps[path]), 1)
+
+    def seen(self, path: int) -> NDArray:
+        """Return the matched filter statistic along a path, the other paths taken off, (T,)."""
+        others = np.flatnonzero(self._pairs[path])
+        others = others[others != path]
+        return self.matched[path] - np.einsum(
+            'qt,qt->t', self._overlaps[self._pairs[path, others]], self.amplitudes[others])
+
+    def statistic(self, path: int, seen: NDArray | None = None) -> float:
+        """Return the statistic of a path for what is ``seen`` (T,) along it.
+
+        By default that is what it meets with the other paths taken off.
+        """
+        return self.model.statistic(self.seen(path) if seen is None else seen,
+                                    self._courses[path])
+
+    def value(self, path: int) -> float:
+        """Return the value of a path beside all others: its statistic less what it costs."""
+        value = self.model.value(self.statistic(path))
+        if self.model.is_constant:
+            return value - (float(self.weights[path]) - self.threshold)
+        return value - self.costs[path]
+
+    def best(self, path: int, seen: NDArray | None = None) -> NDArray:
+        """Return the amplitudes that fit best what is ``seen`` (T,) along a path, shape (T,).
+
+        By default that is what it meets with the other paths taken off.
+        """
+        return self.model.best(self.seen(path) if seen is None else seen, self._courses[path])
+
+    def target_amplitudes(self, path: int) -> NDArray:
+        """Return the amplitudes of the target itself, of which a stamp may show a part, (T,).
+
+        NaN in a frame that shows nothing of it.
+        """
+        shown = self.shown(path)
+        norms = np.where(shown, self._norms[path] / self._whole_norm, 1.0)
+        return np.where(shown, self.amplitudes[path] / norms, np.nan)
+
+    def shown(self, path: int) -> NDArray[np.bool_]:
+        """Return which frames show something of a path, shape (T,): it is there and not masked."""
+        return self._norms[path] > 0
+
+    def may_pass(self, positions: NDArray, cost: float) -> bool:
+        """Return whether a path that is not held may pass its weight once it is refined.
+
+        On the residual, the amplitudes of those that are held fixed.
+        """
+        stamps, origins, norms = self._render(positions)
+        seen = self._seen_by(stamps, origins)
+        model = self.model
+        excess = (model.value(model.statistic(seen, self._course(norms)))
+                  - model.value(self._weight(norms, cost)))
+        return excess > model.grid_level(self.threshold) - model.value(self.threshold)
+
+    def seen_left(self, path: int) -> NDArray:
+        """Return the matched filter statistic of the residual along a path, shape (T,)."""
+        return self._seen_by(self._stamps[path], self._origins[path])
+
+    def as_one(self, members: NDArray) -> tuple[NDArray, NDArray]:
+        """Return some paths as parts of one target, all others fixed.
+
+        Returns
+        -------
+        seen : array, shape (len(members), T)
+            Inner products of the data with the stamps as targets of one brightness show them.
+        overlaps : array, shape (len(members), len(members), T)
+            Inner products of these stamps.
+        """
+        matched, overlaps, _ = self._problem(members)
+        norms = np.array([self._norms[path] for path in members])
+        return norms * matched, norms[:, None] * norms * overlaps
+
+    def refresh(self) -> None:
+        """Compute the residual anew, which sheds the rounding of many small changes."""
+        self.residual[:] = self.frames
+        for path in range(len(self)):
+            self._take(path, 1.0)
+
+    def _seen_by(self, stamps, origins):
+        """Return the statistic of each frame that stamps see in the residual, (T,)."""
+        seen = np.empty(len(self.frames), self.matched.dtype)
+        stamp_kernels.correlate(stamps, origins, self.residual, seen)
+        return seen
+
+    def _take(self, path, sign):
+        """Take the fit of one path off the residual (or put it back)."""
+        self._accumulate(path, -sign * self.amplitudes[path])
+
+    def _accumulate(self, path, amplitudes):
+        """Add the stamps of a path to the residual, wherever they are repeated."""
+        for repeat in self._repeats:
+            stamp_kernels.accumulate(self.residual, self._stamps[path],
+                                     self._origins[path] + repeat, amplitudes)
+
+    def _render(self, positions):
+        size = 2 * max(optics.half for optics in self._sight.optics) + 1
+        n_frames, height, width = self.frames.shape
+        stamps = np.empty((n_frames, size, size))
+        origins = np.empty((n_frames, 2), np.int64)
+        norms = np.empty(n_frames)
+        absent = ~np.isfinite(positions[:, 0])
+        there = np.where(absent[:, None], 0.0, positions)
+        render_path(self._sight, there, height, width, self._pixel_weights, stamps, origins,
+                    norms)
+        stamps[absent] = 0.0
+        norms[absent] = 0.0
+        return stamps, origins, norms
+
+    def _course(self, norms):
+        return self.model.course(self._counted(norms))
+
+    def _weight(self, norms, cost):
+        """Return lambda of a path."""
+        return self.model.weight(self.threshold,
+                                 cost * self.model.dearness(self._counted(norms)))
+
+    def _counted(self, norms):
+        """Return n of each frame, see AmplitudeModel: one where all pixels weigh the same.
+
+        Zero where a path is absent.
+        """
+        return norms if len(self._pixel_weights) else (norms > 0).astype(float)
+
+    def _relate(self, path):
+        """Fill the matched filter and the overlaps of one path."""
+        stamp_kernels.correlate(self._stamps[path], self._origins[path], self.frames,
+                                self.matched[path])
+        self._release(np.unique(self._pairs[path]))
+        self._pairs[path] = 0
+        self._pairs[:, path] = 0
+        stamps, origins = self._stamps[path], self._origins[path]
+        size = stamps.shape[1]
+        total, product = np.empty((2, len(self.frames)))
+        # Of each repeat and path, by how much it is off in the frame in which it is nearest.
+        apart = np.abs(np.array(self._origins) - origins
+                       + self._repeats[:, None, None]).max(axis=3).min(axis=2)
+        for other in np.flatnonzero(apart.min(axis=0) < size):
+            total[:] = 0.0
+            for repeat in self._repeats[apart[:, other] < size]:
+                stamp_kernels.overlap(stamps, origins, self._stamps[other],
+                                      self._origins[other] + repeat, product)
+                total += product
+            if total.any():
+                if not self._free_rows:
+                    n_rows = len(self._overlaps)
+                    self._overlaps = np.concatenate([self._overlaps, self._overlaps])
+                    self._free_rows = list(range(2 * n_rows - 1, n_rows - 1, -1))
+                row = self._free_rows.pop()
+                self._overlaps[row] = total
+                self._pairs[path, other] = self._pairs[other, path] = row
+
+    def _release(self, rows):
+        """Let rows of the overlaps be used again."""
+        self._free_rows += [int(row) for row in rows if row]

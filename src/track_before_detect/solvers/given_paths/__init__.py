@@ -1,0 +1,1 @@
+"""Amplitudes of paths that are given."""

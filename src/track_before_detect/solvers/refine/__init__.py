@@ -1,0 +1,1 @@
+"""Positions between the grid: smooth motions fitted to what a path sees."""

@@ -1,0 +1,1 @@
+"""Dynamic programming and its ring forms (Fu et al. 2022)."""

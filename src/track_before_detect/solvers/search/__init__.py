@@ -1,0 +1,1 @@
+"""Search of the best paths over all paths of a state graph."""

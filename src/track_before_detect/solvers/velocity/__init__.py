@@ -1,0 +1,1 @@
+"""Shift-and-stack over constant velocities."""

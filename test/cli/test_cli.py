@@ -1,0 +1,359 @@
+import csv
+import dataclasses
+import json
+import logging
+import os
+from pathlib import Path
+import signal
+import subprocess
+import sys
+import types
+
+import numpy as np
+import pytest
+
+from track_before_detect import cli
+from track_before_detect.options import describe
+from track_before_detect.recordings.readers import open_recording
+from track_before_detect.simulation.scenarios import SCENARIOS
+from track_before_detect.types import DetectionResult, Trajectory
+
+CONFIG = Path(__file__).parents[1] / 'config' / 'detector.param.yaml'
+
+
+@pytest.fixture(autouse=True)
+def quiet_logging(monkeypatch):
+    """Keep the command from configuring the logging of the tests."""
+    monkeypatch.setattr(logging, 'basicConfig', lambda **_: None)
+
+
+@pytest.fixture
+def recording_file(tmp_path):
+    path = tmp_path / 'a.npz'
+    rng = np.random.default_rng(0)
+    truth = [[k, 0, 5 + k, 6] for k in range(6)]
+    np.savez(path, frames=rng.normal(size=(6, 16, 20)), fps=10, truth=truth)
+    return path
+
+
+@pytest.fixture
+def stand_in(monkeypatch):
+    """Replace the detector by one that reports what it was given; return the calls."""
+    calls = types.SimpleNamespace(options=None, trajectories=2, error=None)
+
+    def detect_recording(recording, options, progress=None):
+        calls.options = options
+        progress('calibrating', 0.0)
+        progress('calibrating', 1.0)
+        for _ in range(2):
+            progress('calibrating', 1.0)
+            progress('searching', 0.5)
+        if calls.error is not None:
+            raise calls.error
+        n_frames = len(recording)
+        positions = np.column_stack([5.0 + np.arange(n_frames), np.full(n_frames, 6.0)])
+        positions[0] = np.nan
+        velocity = np.where(np.isnan(positions), np.nan, (10.0, 0.0))
+        found = [Trajectory(k + 1, positions, np.full(n_frames, 3.0), velocity, recording.stamps,
+                            np.arange(n_frames), 12.345, 3.2) for k in range(calls.trajectories)]
+        return DetectionResult(found, 8.5, gap=float('nan'))
+
+    module = types.ModuleType('track_before_detect.tracking.recording')
+    module.detect_recording = detect_recording
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    return calls
+
+
+def run(*arguments):
+    """Return the exit code of the command."""
+    try:
+        return cli.main([str(argument) for argument in arguments])
+    except SystemExit as stop:
+        return stop.code
+
+
+def assert_one_sentence(capsys, *fragments):
+    captured = capsys.readouterr()
+    lines = captured.err.splitlines()
+    assert lines[-1].startswith('tbd: error: ')
+    assert sum(line.startswith('tbd: error') for line in lines) == 1
+    assert 'Traceback' not in captured.err
+    for fragment in fragments:
+        assert fragment in lines[-1]
+
+
+def test_detect_finds_the_target_of_a_simulated_recording(tmp_path, capsys):
+    recording = tmp_path / 'one.npz'
+    # Of the size that the benchmarks calibrate in their tests.
+    assert run('simulate', 'single_target', '--seed', 3, '--output', recording,
+               '--set', 'snr=8', '--set', 'height=40', '--set', 'width=44',
+               '--set', 'n_frames=6') == 0
+    output = tmp_path / 'results' / 'one'
+    assert run('detect', recording, '--output', output) == 0
+    with open(output / 'trajectories.csv', newline='') as file:
+        rows = list(csv.DictReader(file))
+    with open_recording(recording) as opened:
+        truth = {int(frame): (x, y) for frame, _, x, y in opened.truth}
+    assert [int(row['frame']) for row in rows] == list(range(6))
+    for row in rows:
+        x, y = truth[int(row['frame'])]
+        assert np.hypot(float(row['x_px']) - x, float(row['y_px']) - y) < 1.5
+    summary = json.loads((output / 'summary.json').read_text())
+    assert summary['n_trajectories'] == 1
+    assert float(rows[0]['statistic']) > summary['threshold']
+    assert 'trajectories.csv' in capsys.readouterr().out
+
+
+def test_detect_writes_all_files_and_prints_a_table(recording_file, stand_in, tmp_path, capsys):
+    output = tmp_path / 'deep' / 'out'
+    assert run('detect', recording_file, '--output', output) == 0
+    assert sorted(os.listdir(output)) == ['overlay.png', 'summary.json', 'trajectories.csv']
+    out = capsys.readouterr().out.splitlines()
+    assert out[0].split()[:2] == ['id', 'frames']
+    assert out[1].split() == ['1', '1-5', '6.0,', '6.0', '10.0,', '6.0', '10.00', '3.20', '12.35']
+    assert str(output / 'overlay.png') in out[-1]
+    summary = json.loads((output / 'summary.json').read_text())
+    assert summary['input'] == 'a.npz' and summary['detector'] == 'convex'
+    assert summary['options'] == json.loads(json.dumps(dataclasses.asdict(stand_in.options)))
+    assert (summary['threshold'], summary['status'], summary['gap']) == (8.5, 'converged', None)
+    assert (summary['n_frames'], summary['n_trajectories']) == (6, 2)
+
+
+def test_nothing_found_is_exit_code_3_with_the_header_alone(recording_file, stand_in, tmp_path):
+    stand_in.trajectories = 0
+    assert run('detect', recording_file, '--output', tmp_path / 'out') == 3
+    assert len((tmp_path / 'out' / 'trajectories.csv').read_text().splitlines()) == 1
+    assert (tmp_path / 'out' / 'overlay.png').exists()
+
+
+def test_overlay_can_be_left_out(recording_file, stand_in, tmp_path):
+    assert run('detect', recording_file, '--output', tmp_path / 'out', '--no-overlay') == 0
+    assert sorted(os.listdir(tmp_path / 'out')) == ['summary.json', 'trajectories.csv']
+
+
+def test_options_come_from_file_then_set_then_detector(recording_file, stand_in, tmp_path):
+    config = tmp_path / 'flat.yaml'
+    config.write_text('psf_sigma_px: 1.5\nfalse_alarm_rate: 0.01\ncontinuation: [1, 0]\n'
+                      'threshold: null\n')
+    assert run('detect', recording_file, '--output', tmp_path / 'out', '--config', config,
+               '--set', 'false_alarm_rate=0.02', '--set', 'batch_length=4',
+               '--detector', 'convex', '--set', 'hop=auto') == 0
+    options = stand_in.options
+    assert (options.psf_sigma_px, options.false_alarm_rate) == (1.5, 0.02)
+    assert options.continuation == (1.0, 0.0)
+    assert (options.batch_length, options.hop, options.threshold) == (4, None, None)
+
+
+@pytest.mark.parametrize('node', ['/**', 'detector', '/radar/detector'])
+def test_file_of_ros_parameters_is_read(recording_file, stand_in, tmp_path, capsys, node):
+    config = tmp_path / 'ros.yaml'
+    config.write_text(f'{node}:\n  ros__parameters:\n    noise: robust\n    threshold: 0.0\n'
+                      '    batch_length: 0\n    frame_rate_hz: 30.0\n')
+    assert run('detect', recording_file, '--output', tmp_path / 'out', '--config', config) == 0
+    assert stand_in.options.noise == 'robust'
+    assert stand_in.options.threshold is None and stand_in.options.batch_length is None
+    assert 'frame_rate_hz' in capsys.readouterr().err
+
+
+def test_parameter_file_of_the_node_can_be_used(recording_file, stand_in, tmp_path):
+    assert run('detect', recording_file, '--output', tmp_path / 'out', '--config', CONFIG) == 0
+    assert stand_in.options.detector == 'convex'
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'fragments'),
+    [(['--set', 'psf_sigma=2'], ["unknown option 'psf_sigma'", 'did you mean psf_sigma_px']),
+     (['--set', 'psf_sigma_px'], ['KEY=VALUE', "'psf_sigma_px'"]),
+     (['--set', 'psf_sigma_px=wide'], ["psf_sigma_px must be a number, got 'wide'"]),
+     (['--set', 'psf_sigma_px=90'], ['at most 20 px, got 90']),
+     (['--detector', 'convx'], ["got 'convx'", 'did you mean convex']),
+     (['--topic', '/image'], ['only a rosbag2 has topics']),
+     (['--config', 'no.yaml'], ['no.yaml cannot be read']),
+     (['--config', 'list.yaml'], ['must hold names and values, got a list']),
+     (['--config', 'bad.yaml'], ['is not YAML']),
+     (['--config', 'two.yaml'], ['ros__parameters of one node']),
+     (['--config', 'unknown.yaml'], ["unknown option 'colour'"]),
+     (['--output', 'list.yaml'], ['must be a folder', 'list.yaml']),
+     (['--output', 'list.yaml/deeper'], ['must be a folder']),
+     (['--nonsense'], ['--nonsense', 'see tbd'])])
+def test_bad_option_is_one_sentence_exit_code_2_and_no_output(
+        recording_file, stand_in, tmp_path, monkeypatch, capsys, arguments, fragments):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'list.yaml').write_text('[1, 2]')
+    (tmp_path / 'bad.yaml').write_text('a: [1\nb: }')
+    (tmp_path / 'two.yaml').write_text('a: {ros__parameters: {}}\nb: {ros__parameters: {}}')
+    (tmp_path / 'unknown.yaml').write_text('colour: red')
+    before = sorted(os.listdir(tmp_path))
+    assert run('detect', recording_file, *arguments) == 2
+    assert_one_sentence(capsys, *fragments)
+    assert sorted(os.listdir(tmp_path)) == before
+
+
+@pytest.mark.parametrize('name', [
+    'missing.npz', 'empty.npz', 'cut.npz', 'text.txt', 'folder', 'one_frame.npz', 'nan.npz'])
+def test_bad_input_is_one_sentence_exit_code_2_and_no_output(
+        recording_file, tmp_path, capsys, name):
+    (tmp_path / 'empty.npz').touch()
+    (tmp_path / 'cut.npz').write_bytes(recording_file.read_bytes()[:500])
+    (tmp_path / 'text.txt').write_text('hello')
+    (tmp_path / 'folder').mkdir()
+    np.savez(tmp_path / 'one_frame.npz', frames=np.zeros((1, 8, 8)))
+    np.savez(tmp_path / 'nan.npz', frames=np.full((5, 8, 8), np.nan))
+    assert run('detect', tmp_path / name, '--output', tmp_path / 'out') == 2
+    assert_one_sentence(capsys, name)
+    assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.parametrize(
+    ('error', 'code', 'said'),
+    [(KeyboardInterrupt(), 130, 'tbd: interrupted'),
+     (MemoryError(), 2, 'tbd: error: not enough memory'),
+     (OSError(28, 'No space left on device'), 2, 'No space left')])
+def test_what_stops_the_search_leaves_no_output(
+        recording_file, stand_in, tmp_path, capsys, error, code, said):
+    stand_in.error = error
+    assert run('detect', recording_file, '--output', tmp_path / 'out') == code
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / 'out').exists()
+
+
+def test_signal_that_ends_the_run_while_it_writes_leaves_no_output(
+        recording_file, stand_in, tmp_path, monkeypatch):
+    output = tmp_path / 'out'
+    monkeypatch.setattr(cli, 'write_summary_json',
+                        lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+    before = signal.getsignal(signal.SIGTERM)
+    try:
+        assert run('detect', recording_file, '--output', output) == 143
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert os.listdir(output) == []
+
+
+def test_failure_while_writing_keeps_the_results_of_the_run_before(
+        recording_file, stand_in, tmp_path, monkeypatch, capsys):
+    output = tmp_path / 'out'
+    assert run('detect', recording_file, '--output', output) == 0
+    before = {file.name: file.read_bytes() for file in output.iterdir()}
+
+    def disk_full(*_):
+        raise OSError(28, 'No space left on device')
+
+    monkeypatch.setattr(cli, 'write_summary_json', disk_full)
+    stand_in.trajectories = 1
+    assert run('detect', recording_file, '--output', output) == 2
+    assert {file.name: file.read_bytes() for file in output.iterdir()} == before
+
+
+def test_missing_extra_is_named_before_the_work(recording_file, stand_in, monkeypatch, capsys):
+    find_spec = cli.importlib.util.find_spec
+    monkeypatch.setattr(cli.importlib.util, 'find_spec',
+                        lambda name: None if name == 'matplotlib' else find_spec(name))
+    assert run('detect', recording_file) == 2
+    assert_one_sentence(capsys, 'track_before_detect[plots]', '--no-overlay')
+    assert stand_in.options is None
+
+
+def test_progress_is_one_line_per_task_without_a_terminal(
+        recording_file, stand_in, tmp_path, capsys):
+    run('detect', recording_file, '--output', tmp_path / 'out')
+    assert capsys.readouterr().err.splitlines() == ['tbd: calibrating', 'tbd: searching']
+
+
+def test_progress_is_a_bar_on_a_terminal():
+    pytest.importorskip('tqdm')
+
+    class Terminal:
+        text = ''
+
+        def isatty(self):
+            return True
+
+        def write(self, text):
+            self.text += text
+
+        def flush(self):
+            pass
+
+    terminal = Terminal()
+    with cli._Progress(terminal) as progress:
+        for done in (0.0, 0.5, 1.0, 1.2):
+            progress('calibrating', done)
+        progress('searching', 0.0)
+    assert 'calibrating' in terminal.text and 'searching' in terminal.text
+    assert '\n' not in terminal.text
+
+
+@pytest.mark.parametrize('name', SCENARIOS)
+def test_simulated_recording_reads_back(name, tmp_path, capsys):
+    path = tmp_path / 'made.npz'
+    assert run('simulate', name, '--seed', 2, '--output', path, '--set', 'n_frames=5') == 0
+    assert str(path) in capsys.readouterr().out
+    with open_recording(path) as recording:
+        assert len(recording) == 5 and recording.stamps_known
+        assert len(recording.truth) == 5 * SCENARIOS[name].n_targets
+
+
+def test_same_seed_writes_the_same_file(tmp_path):
+    for name, seed in (('a', 1), ('b', 1), ('c', 2)):
+        run('simulate', 'noise', '--seed', seed, '--output', tmp_path / f'{name}.npz')
+    a, b, c = (np.load(tmp_path / f'{name}.npz')['frames'] for name in 'abc')
+    assert (a == b).all() and (a != c).any()
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'fragments'),
+    [(['three_target'], ['did you mean three_targets']),
+     (['noise', '--seed', '-1'], ['seed must be', '-1']),
+     (['noise', '--seed', 'x'], ['--seed', "'x'"]),
+     (['noise', '--set', 'snrr=1'], ['did you mean snr']),
+     (['noise', '--output', 'a.csv'], ['.npz', 'a.csv']),
+     (['noise', '--output', 'no/such/a.npz'], ['no/such', 'does not exist']),
+     ([], ['SCENARIO'])])
+def test_bad_simulation_is_one_sentence_and_no_output(
+        tmp_path, monkeypatch, capsys, arguments, fragments):
+    monkeypatch.chdir(tmp_path)
+    assert run('simulate', *arguments) == 2
+    assert_one_sentence(capsys, *fragments)
+    assert os.listdir(tmp_path) == []
+
+
+def test_lists_name_everything(capsys):
+    assert run('detect', '--list-options') == 0
+    options = capsys.readouterr().out
+    assert run('simulate', '--list') == 0
+    scenarios = capsys.readouterr().out
+    assert all(f'  {option["name"]}' in options for option in describe())
+    assert all(f'  {name}\n' in scenarios for name in SCENARIOS)
+
+
+def test_help_and_version(capsys):
+    for arguments in (['--help'], ['detect', '--help'], ['simulate', '--help'], ['--version']):
+        assert run(*arguments) == 0
+    assert run() == 2
+    text = capsys.readouterr().out
+    assert 'tbd detect drones.npz' in text and 'tbd simulate --list' in text
+
+
+@pytest.mark.parametrize('closing', ['import sys; sys.stdout = None', 'import sys'])
+def test_output_that_cannot_be_printed_is_no_error(tmp_path, closing):
+    # Without a stream as after >&-, or with one that knows ASCII alone.
+    path = tmp_path / '\u96f7.npz'
+    program = (f'{closing}; from track_before_detect.cli import main; '
+               f'sys.exit(main(["simulate", "noise", "--output", {ascii(str(path))}]))')
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
+                          env={**os.environ, 'PYTHONIOENCODING': 'ascii'}, timeout=60)
+    assert (done.returncode, done.stderr) == (0, '')
+    assert path.exists()
+
+
+def test_reader_that_stops_listening_is_no_error():
+    program = ('import sys; from track_before_detect.cli import main; '
+               'sys.exit(main(["simulate", "--list"]))')
+    process = subprocess.Popen([sys.executable, '-c', program], stdout=subprocess.PIPE,
+                               stderr=subprocess.PIPE)
+    process.stdout.close()
+    error = process.stderr.read()
+    process.stderr.close()
+    assert process.wait(timeout=60) == 0
+    assert error == b''

@@ -1,0 +1,149 @@
+import sys
+import threading
+
+import pytest
+
+from track_before_detect.errors import MissingExtraError, ParameterError
+from track_before_detect.evaluation.engine import kept_results
+from track_before_detect.evaluation.engine.kept_results import KeptResults
+from track_before_detect.evaluation.engine.runner import Runner, Workers
+from track_before_detect.evaluation.engine.runs import seeds_of
+from track_before_detect.parallel import usable_cores
+
+ITEMS = [{'seed': seed, 'scale': 0.5} for seed in (3, 1, 4, 1, 5)]
+HALVES = [{'value': 0.5 * item['seed']} for item in ITEMS]
+
+calls: list[int] = []
+
+
+@pytest.fixture(autouse=True)
+def no_calls():
+    calls.clear()
+
+
+def quiet(label, done):
+    assert label and 0 <= done <= 1
+
+
+def scaled(item):
+    calls.append(item['seed'])
+    return {'value': item['scale'] * item['seed']}
+
+
+def failing_at_four(item):
+    if item['seed'] == 4:
+        raise KeyboardInterrupt
+    return scaled(item)
+
+
+def test_results_come_in_the_order_of_the_items_and_equal_items_are_run_once():
+    assert Runner(quiet).map(scaled, ITEMS, 'scaling') == HALVES
+    assert calls == [3, 1, 4, 5]
+
+
+def test_workers_decide_nothing(tmp_path):
+    pytest.importorskip('joblib')
+    for jobs in (1, 3):
+        runner = Runner(quiet, Workers(jobs, 'threading'))
+        assert runner.map(scaled, ITEMS, 'scaling') == HALVES
+
+
+def cores_of(item):
+    return {'cores': usable_cores()}
+
+
+def test_runs_side_by_side_share_the_cores():
+    pytest.importorskip('joblib')
+    [alone] = Runner(quiet).map(cores_of, ITEMS[:1], 'counting')
+    assert alone['cores'] == usable_cores()
+    for jobs in (2, 1000):
+        for one in Runner(quiet, Workers(jobs, 'threading')).map(cores_of, ITEMS, 'counting'):
+            assert one['cores'] == max(1, usable_cores() // jobs)
+
+
+def test_interrupted_study_goes_on_where_it_stopped(tmp_path):
+    runner = Runner(quiet, kept=KeptResults(tmp_path / 'runs.jsonl'))
+    with pytest.raises(KeyboardInterrupt):
+        runner.map(failing_at_four, ITEMS, 'scaling')
+    assert calls == [3, 1]
+    calls.clear()
+    more = [*ITEMS, {'seed': 9, 'scale': 0.5}]
+    kept = (tmp_path / 'runs.jsonl').read_text()
+    (tmp_path / 'runs.jsonl').write_text(kept.replace('failing_at_four', 'scaled'))
+    assert runner.map(scaled, more, 'scaling') == [*HALVES, {'value': 4.5}]
+    assert calls == [4, 5, 9]
+
+
+def test_result_cut_short_is_run_again(tmp_path):
+    path = tmp_path / 'runs.jsonl'
+    runner = Runner(quiet, kept=KeptResults(path))
+    runner.map(scaled, ITEMS, 'scaling')
+    path.write_bytes(path.read_bytes()[:-12])
+    calls.clear()
+    assert runner.map(scaled, ITEMS, 'scaling') == HALVES
+    assert calls == [5]
+    # What was appended after the torn line is read again.
+    assert runner.map(scaled, ITEMS, 'scaling') == HALVES
+    assert calls == [5]
+
+
+def test_results_of_other_code_do_not_count(tmp_path, monkeypatch):
+    runner = Runner(quiet, kept=KeptResults(tmp_path / 'runs.jsonl'))
+    runner.map(scaled, ITEMS, 'scaling')
+    monkeypatch.setattr(kept_results, '_sources_of', lambda name: {'kernels.new': b'pass'})
+    calls.clear()
+    assert runner.map(scaled, ITEMS, 'scaling') == HALVES
+    assert calls == [3, 1, 4, 5]
+
+
+def test_sources_are_those_that_a_module_comes_to_import():
+    names = {name.removeprefix('track_before_detect.') for name in kept_results._sources_of(
+        'track_before_detect.evaluation.studies.ring.runs')}
+    assert {'evaluation.ring_runs', 'evaluation.paper_metrics', 'solvers.linking',
+            'kernels.second_order', 'errors'} <= names
+    assert not any(name.startswith(('ros', 'cli', 'solvers.convex')) for name in names)
+
+
+def test_progress_counts_what_is_known_already(tmp_path):
+    seen = []
+    runner = Runner(lambda label, done: seen.append(done), kept=KeptResults(tmp_path / 'r'))
+    runner.map(scaled, ITEMS[:2], 'scaling')
+    seen.clear()
+    runner.map(scaled, ITEMS, 'scaling')
+    assert seen[0] >= 0.4 and seen[-1] == 1.0 and seen == sorted(seen)
+
+
+def test_without_joblib_runs_follow_one_another_in_this_process(monkeypatch):
+    monkeypatch.setitem(sys.modules, 'joblib', None)
+
+    def thread_of(item):
+        return {'thread': threading.get_ident()}
+
+    done = Runner(quiet, Workers()).map(thread_of, ITEMS, 'running')
+    assert {result['thread'] for result in done} == {threading.get_ident()}
+    with pytest.raises(MissingExtraError, match=r'track_before_detect\[parallel\]'):
+        Runner(quiet, Workers(2)).map(scaled, ITEMS, 'scaling')
+
+
+@pytest.mark.parametrize(
+    ('options', 'message'),
+    [({'jobs': 0}, 'jobs must be at least 1, got 0'),
+     ({'backend': 'carrier'}, "backend must be one of loky, .*, got 'carrier'"),
+     ({'scheduler': 'tcp://here:1'}, "scheduler needs the backend dask or ray, got 'loky'")])
+def test_workers_that_cannot_be_had_are_refused(options, message):
+    with pytest.raises(ParameterError, match=message):
+        Workers(**options)
+
+
+def test_cluster_that_is_not_installed_is_named(monkeypatch):
+    pytest.importorskip('joblib')
+    monkeypatch.setitem(sys.modules, 'distributed', None)
+    with pytest.raises(MissingExtraError, match=r'track_before_detect\[dask\]'):
+        Runner(quiet, Workers(2, 'dask')).map(scaled, ITEMS, 'scaling')
+
+
+def test_seeds_depend_on_study_and_part_and_a_longer_study_begins_alike():
+    assert seeds_of(1, 'a', 5)[:3] == seeds_of(1, 'a', 3)
+    assert not set(seeds_of(1, 'a', 5)) & set(seeds_of(1, 'b', 5))
+    assert not set(seeds_of(1, 'a', 5)) & set(seeds_of(2, 'a', 5))
+    assert all(0 <= seed < 2**53 for seed in seeds_of(1, 'a', 5))

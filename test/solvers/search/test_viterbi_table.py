@@ -1,0 +1,202 @@
+"""A search that computes little anew gives what a search from the start gives."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+import naive
+from track_before_detect.models.amplitudes import (
+    AmplitudeModel,
+    COMPLEX,
+    CONSTANT,
+    NON_NEGATIVE,
+    SIGNED,
+)
+from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
+from track_before_detect.models.motion.state_graph import build_state_graph
+from track_before_detect.solvers.search import viterbi_table as path_table
+from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.convex.working_set import PathSet
+from track_before_detect.solvers.search.viterbi_table import PathTable, table_bytes
+from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
+
+NO_MASK = np.zeros((0, 0, 0), bool)
+GRAPHS = {
+    'straight': {'max_speed': 1.0, 'max_acceleration': 0.0},
+    'few turns': {'max_speed': 1.0, 'max_acceleration': 0.08},
+    'wide turns': {'max_speed': 1.3, 'max_acceleration': 1.5},
+    'static': {'max_speed': 0.0, 'max_acceleration': 0.0},
+}
+
+
+def graph_named(name, stamps, turn_cost=3.0):
+    return build_state_graph(stamps, step_px=0.5, turn_cost=turn_cost, **GRAPHS[name])
+
+
+def changed(generator, scores, sign):
+    """Return scores that differ in one box of each frame."""
+    new = scores.copy()
+    y, x = generator.integers(0, scores.shape[1] - 3), generator.integers(0, scores.shape[2] - 3)
+    for frame in new:
+        box = frame[y:y + generator.integers(1, 9), x:x + generator.integers(1, 9)]
+        change = generator.exponential(2.0, box.shape).astype(np.float32)
+        box += {'up': change, 'down': -np.minimum(change, box), 'both': change - 2}[sign]
+    return new
+
+
+@pytest.mark.parametrize('name', GRAPHS)
+@pytest.mark.parametrize('sign', ['up', 'down', 'both'])
+@pytest.mark.parametrize('width', [31, 150])
+@pytest.mark.parametrize('n_threads', [1, 2])
+def test_changed_scores_give_the_table_of_a_fill(monkeypatch, name, sign, width, n_threads):
+    # Not even when filling would be quicker.
+    monkeypatch.setattr(path_table, 'COST_OF_UPDATE', 0.0)
+    generator = np.random.default_rng([len(name), len(sign), width])
+    graph = graph_named(name, np.array([0.0, 1, 2, 3, 5, 6, 7, 8, 9]))
+    scores = generator.exponential(size=(9, 29, width)).astype(np.float32)
+    kept = PathTable(graph, scores.shape[1:], n_threads)
+    for _ in range(6):
+        fresh = PathTable(graph, scores.shape[1:])
+        fresh.fill(scores)
+        level = float(np.quantile(fresh.best, generator.choice([0.0, 0.8, 0.99, 1.0])))
+        assert kept.update(scores, level) == fresh.best.max()
+        assert (kept.best >= fresh.best).all()
+        told = np.maximum(kept.best, fresh.best) > level
+        np.testing.assert_array_equal(kept.best[told], fresh.best[told])
+        scores = changed(generator, scores, sign)
+
+
+def test_updated_table_has_the_value_of_the_best_of_every_path(monkeypatch):
+    monkeypatch.setattr(path_table, 'COST_OF_UPDATE', 0.0)
+    graph = build_state_graph(np.arange(4.0), step_px=1.0, max_speed=0.7, max_acceleration=0.9,
+                              turn_cost=0.5)
+    assert graph.n_segments > 1 and graph.n_velocities**graph.n_segments < 20000
+    generator = np.random.default_rng(2)
+    scores = generator.exponential(size=(4, 5, 6)).astype(np.float32)
+    table = PathTable(graph, (5, 6))
+    for sign in ('down', 'both', 'down', 'up'):
+        scores = changed(generator, scores, sign)
+        expected, _ = naive.best_path_value(graph, scores)
+        assert table.update(scores, 0.5 * expected) == pytest.approx(expected, rel=1e-5)
+
+
+def test_only_states_that_may_pass_are_computed(monkeypatch):
+    graph = graph_named('few turns', np.arange(9.0))
+    generator = np.random.default_rng(4)
+    scores = generator.exponential(size=(9, 99, 199)).astype(np.float32)
+    bright = scores.copy()
+    bright[:, 50:55, 90:95] += 30
+    table = PathTable(graph, (99, 199))
+    table.update(bright, 40.0)
+    monkeypatch.setattr(table, '_fill', None)
+    counted = []
+    compute = table._compute
+    monkeypatch.setattr(table, '_compute', lambda wanted, last: (
+        counted.append(np.count_nonzero(last)), compute(wanted, last)))
+    table.update(scores, 40.0)
+    assert 0 < sum(counted) < 0.4 * 99
+    counted.clear()
+    # Nothing has changed.
+    table.update(scores.copy(), 40.0)
+    assert sum(counted) == 0
+
+
+T, H, W = 8, 26, 34
+STAMPS = np.arange(float(T))
+
+
+def crowd(seed, n_targets, mask, model):
+    """Return frames with targets, a mask and an empty path set."""
+    generator = np.random.default_rng(seed)
+    psf = GaussianPsf(1.0)
+    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, psf, 1.0, model)
+    for _ in range(n_targets):
+        start, velocity = generator.uniform(0, 25, 2), generator.uniform(-0.8, 0.8, 2)
+        positions = np.clip(start + velocity * STAMPS[:, None], 0, (W - 1, H - 1))
+        maker.add(positions, 0.0)
+        maker.assign(np.array([len(maker) - 1]), generator.uniform(2, 6, (1, T)))
+    frames = generator.standard_normal((T, H, W)).astype(np.float32) - maker.residual
+    valid = None
+    if mask:
+        valid = generator.random((T, H, W)) > 0.1
+        valid[:, 10:14, :9] = False
+        frames[~valid] = 0
+    return frames, valid
+
+
+@pytest.mark.parametrize('psf', [
+    pytest.param(GaussianPsf(1.0), id='gaussian'),
+    pytest.param(ArrayPsf(np.random.default_rng(7).random((5, 7))), id='of several components')])
+@pytest.mark.parametrize('code', [NON_NEGATIVE, COMPLEX, CONSTANT])
+@pytest.mark.parametrize('weighted', [False, True])
+def test_frames_that_differ_in_places_are_searched_as_if_new(psf, code, weighted):
+    generator = np.random.default_rng(3)
+    model = AmplitudeModel(code)
+    graph = build_state_graph(STAMPS, step_px=1 / psf.oversampling, max_speed=0.5,
+                              max_acceleration=0.0, turn_cost=3.0)
+    frames = generator.standard_normal((T, H, W)).astype(np.float32)
+    if code == COMPLEX:
+        frames = (frames + 1j * frames[::-1]).astype(np.complex64)
+    kept = PathSearch(graph, psf, (H, W), model)
+    for number in range(7):
+        if weighted and number % 3 == 0:
+            weights = generator.uniform(0.5, 1.5, (T, H, W))
+            kept.set_weights(weights)
+        fresh = PathSearch(graph, psf, (H, W), model)
+        fresh.set_weights(weights if weighted else None)
+        np.testing.assert_equal(*(
+            [dataclasses.astuple(path) for path in search.best_paths(
+                frames, 0.0, 3.0, lambda _: True, 5)[1]] for search in (kept, fresh)))
+        if number == 3:
+            kept.best_value(frames[::-1].copy())
+        frames = frames.copy()
+        y = generator.integers(0, H - 3)
+        frames[generator.integers(0, T), y:y + 3, 5:9] += 1 - number % 3
+
+
+def pursued(frames, valid, model, graph, threshold):
+    psf = GaussianPsf(1.0)
+    search = PathSearch(graph, psf, (H, W), model)
+    search.set_weights(valid)
+    valid = NO_MASK if valid is None else valid
+    paths = PathSet(frames, valid, psf, threshold, model)
+    return pursue(search, Refiner(graph, psf, STAMPS, valid, model), paths, 3.0,
+                  PursuitSettings((1.0, 0.5, 0.0)))
+
+
+@pytest.mark.parametrize(('code', 'threshold'), [(NON_NEGATIVE, 6.5), (SIGNED, 7.5),
+                                                 (CONSTANT, 5.0)])
+@pytest.mark.parametrize('mask', [False, True], ids=['', 'masked'])
+@pytest.mark.parametrize('seed', [1, 2])
+def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, mask, seed):
+    model = AmplitudeModel(code)
+    frames, valid = crowd(seed, 4, mask, model)
+    graph = graph_named('few turns', STAMPS, model.turn_cost)
+    # Frames this small are mostly filled anew otherwise.
+    monkeypatch.setattr(path_table, 'COST_OF_UPDATE', 0.0)
+    quick = pursued(frames, valid, model, graph, threshold)
+
+    def from_the_start(table, scores, level, rows=None):
+        table.fill(scores)
+        return float(table.best.max())
+
+    monkeypatch.setattr(PathTable, 'update', from_the_start)
+    full = pursued(frames, valid, model, graph, threshold)
+    assert len(full.paths) > 0 and len(full.history) > 3
+    np.testing.assert_equal(*([dataclasses.astuple(step) for step in result.history]
+                              for result in (quick, full)))
+    assert quick.gap == full.gap
+    np.testing.assert_array_equal(quick.paths.amplitudes, full.paths.amplitudes)
+    np.testing.assert_array_equal(quick.paths.positions, full.paths.positions)
+
+
+@pytest.mark.parametrize('name', GRAPHS)
+def test_the_memory_of_a_table_is_told_before_it_is_taken(name):
+    graph = graph_named(name, np.arange(12.0))
+    table = PathTable(graph, (61, 83))
+    table.fill(np.zeros((12, 61, 83), np.float32))
+    taken = sum(array.nbytes for array in [table.best, table._scores, *table._tables])
+    # Less margins of a few rows.
+    assert 0.9 * taken <= table_bytes(graph, (61, 83)) <= taken

@@ -1,0 +1,59 @@
+"""Long work on all cores gives every result, and ends at once when it is interrupted."""
+
+import signal
+import threading
+import time
+
+import pytest
+
+from track_before_detect.parallel import at_most_cores, map_in_threads, usable_cores
+
+
+def test_results_come_in_the_order_of_the_items():
+    def slow_at_first(n):
+        time.sleep(0.002 * (5 - n))
+        return n * n
+
+    assert map_in_threads(slow_at_first, range(5)) == [0, 1, 4, 9, 16]
+    assert map_in_threads(slow_at_first, []) == []
+
+
+def test_a_limit_holds_while_it_is_asked_for_and_in_its_own_thread():
+    everything, seen = usable_cores(), []
+    with at_most_cores(1):
+        with at_most_cores(10**6):
+            assert usable_cores() == everything
+        assert usable_cores() == 1
+        other = threading.Thread(target=lambda: seen.append(usable_cores()))
+        other.start()
+        other.join()
+    assert usable_cores() == everything and seen == [everything]
+
+
+def test_an_error_reaches_the_caller_and_ends_the_work():
+    begun = []
+
+    def fails(n):
+        begun.append(n)
+        time.sleep(0.01)
+        raise ValueError(n)
+
+    with pytest.raises(ValueError):
+        map_in_threads(fails, range(100))
+    time.sleep(0.1)
+    assert len(begun) < 10
+
+
+def test_an_interrupt_does_not_wait_for_what_is_running():
+    released = threading.Event()
+    before = signal.signal(signal.SIGALRM, signal.default_int_handler)
+    signal.setitimer(signal.ITIMER_REAL, 0.2)
+    start = time.monotonic()
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            map_in_threads(lambda _: released.wait(20), range(10))
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+        released.set()
+    assert time.monotonic() - start < 5

@@ -1,0 +1,134 @@
+"""A batch is told where the one before saw targets, in its own pixels, and is not misled."""
+
+import numpy as np
+import pytest
+
+from track_before_detect import detect_sensors, geometry, Sensor
+from track_before_detect.options import DetectorOptions
+from track_before_detect.simulation.sensor import add_target
+from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.tracking import pipeline as pipelines
+from track_before_detect.tracking import sensors as several
+from track_before_detect.tracking.previous_batch import carried_over
+from track_before_detect.types import FrameBatch, Trajectory
+
+LENGTH, HOP = 14, 7
+
+
+class Spy(ConvexDetector):
+    """Keeps what each batch was told and what it found."""
+
+    seen: list = []
+
+    def detect_weighted(self, *arguments):
+        result = super().detect_weighted(*arguments)
+        Spy.seen.append((self.earlier, result.found))
+        return result
+
+
+@pytest.fixture
+def spy(monkeypatch):
+    monkeypatch.setitem(pipelines.DETECTOR_CLASSES, 'convex', Spy)
+    monkeypatch.setitem(several.DETECTORS, 'convex', Spy)
+    monkeypatch.setattr(Spy, 'seen', [])
+    return Spy
+
+
+def batches(frames, hop=HOP):
+    stamps = np.arange(float(len(frames)))
+    for start in range(0, len(frames) - LENGTH + 1, hop):
+        rows = np.arange(start, start + LENGTH)
+        yield FrameBatch(frames[rows], stamps[rows], rows)
+
+
+def told_and_found(seen):
+    """Return the distance of what each batch after the first was told from what it found."""
+    distances = []
+    for earlier, found in seen[1:]:
+        for positions in earlier.positions:
+            off = [np.hypot(*(positions - one.positions)[earlier.known].T) for one in found]
+            distances.append(min(np.nanmax(one) for one in off))
+    return distances
+
+
+def test_positions_of_the_common_frames_are_taken_to_the_plane_of_the_batch():
+    rng = np.random.default_rng(1)
+    maps = geometry.translations(rng.uniform(-9, 9, (6, 2)))
+    maps[:, 0, 1] = 0.02
+    on_plane = rng.uniform(0, 30, (6, 2))
+    own = np.full((8, 2), np.nan)
+    own[4:] = geometry.apply(maps, on_plane)[:4]
+    own[5] = np.nan
+    before = Trajectory(3, own, np.ones(8), np.zeros((8, 2)), np.arange(8.0), np.arange(8), 9, 3)
+    earlier = carried_over([before], np.arange(4, 10), maps)
+    assert earlier.known.tolist() == [True] * 4 + [False] * 2
+    [positions] = earlier.positions
+    np.testing.assert_allclose(positions[[0, 2, 3]], on_plane[[0, 2, 3]])
+    assert np.isnan(positions[[1, 4, 5]]).all()
+    assert carried_over([before], np.arange(8, 14), maps) is None
+    assert carried_over([], np.arange(6), maps) is None
+
+
+def test_a_batch_of_a_moving_camera_is_told_in_its_own_plane(spy):
+    rng = np.random.default_rng(2)
+    scene = rng.normal(0, 6, (90, 120))
+    frames = rng.normal(0, 0.5, (28, 50, 60)).astype(np.float32)
+    for t, frame in enumerate(frames):
+        # A camera that pans: the plane of every batch is that of another frame.
+        frame += scene[20 + t // 2:70 + t // 2, 10 + t:70 + t]
+        add_target(frame, 40 - 0.4 * t, 25 - 0.2 * t, 1.0, 12.0)
+    options = DetectorOptions(registration='translation', background='temporal_median',
+                              noise='robust', threshold=25.0)
+    pipeline = pipelines.TrackingPipeline(options)
+    for batch in batches(frames):
+        pipeline.process(batch)
+    distances = told_and_found(spy.seen)
+    assert len(distances) >= 2
+    assert max(distances) < 1.0
+
+
+def test_sensors_are_told_on_their_common_plane(spy):
+    rng = np.random.default_rng(3)
+    frames = rng.standard_normal((28, 30, 34)).astype(np.float32)
+    for t, frame in enumerate(frames):
+        add_target(frame, 8 + 0.6 * t, 12.0, 1.0, 7.0)
+    shifted = [[1.0, 0, -5], [0, 1, 7]]
+    detect_sensors([Sensor(frames, np.arange(28.0), affine=shifted)], threshold=12.0,
+                   batch_length=LENGTH, hop=HOP)
+    distances = told_and_found(spy.seen)
+    assert len(distances) == 2
+    assert max(distances) < 1.0
+
+
+@pytest.mark.parametrize('presence', ['full', 'partial'])
+@pytest.mark.parametrize('seed', [1, 2])
+def test_a_stream_gives_what_its_batches_give_alone(monkeypatch, seed, presence):
+    rng = np.random.default_rng(seed)
+    frames = rng.standard_normal((49, 40, 40)).astype(np.float32)
+    for t, frame in enumerate(frames):
+        add_target(frame, 5 + 0.6 * t, 30 - 0.4 * t, 1.0, 4.0)
+        if t < 20:
+            add_target(frame, 30 - 0.5 * t, 33.0, 1.0, 5.0)
+    # So low that noise passes at times.
+    options = DetectorOptions(threshold=7.0 if presence == 'full' else 7.4, presence=presence)
+    warm = pipelines.TrackingPipeline(options)
+    together = [warm.process(batch).trajectories for batch in batches(frames)]
+    monkeypatch.setattr(pipelines, 'carried_over', lambda *_: None)
+    cold = pipelines.TrackingPipeline(options)
+    alone = [cold.process(batch).trajectories for batch in batches(frames)]
+    for first, second in zip(together, alone, strict=True):
+        assert len(first) == len(second)
+        for one in second:
+            assert min(np.nanmean(np.hypot(*(one.positions - other.positions).T))
+                       for other in first) < 0.5
+
+
+def test_after_a_reset_a_batch_is_told_nothing(spy):
+    frames = np.random.default_rng(4).standard_normal((28, 30, 30)).astype(np.float32)
+    for frame in frames:
+        add_target(frame, 15.0, 15.0, 1.0, 7.0)
+    pipeline = pipelines.TrackingPipeline(DetectorOptions(threshold=12.0))
+    for batch in batches(frames):
+        pipeline.process(batch)
+        pipeline.reset()
+    assert [earlier for earlier, _ in spy.seen] == [None] * 3

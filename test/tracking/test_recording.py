@@ -1,0 +1,85 @@
+"""A recording cut into batches gives each target once, in each frame once."""
+
+import numpy as np
+import pytest
+
+import track_before_detect as tbd
+from track_before_detect.tracking.recording import batch_starts
+
+OPTIONS = {'threshold': 12.0}
+
+
+def moving_target(n_frames, amplitude=6.0, seed=1, shape=(32, 64)):
+    frames = np.random.default_rng(seed).standard_normal((n_frames, *shape))
+    x = 8 + 0.7 * np.arange(n_frames)
+    truth = np.stack([x, np.full(n_frames, 14.3)], axis=1)
+    rows, columns = np.mgrid[:shape[0], :shape[1]]
+    for t in range(n_frames):
+        stamp = np.exp(-((columns - truth[t, 0])**2 + (rows - truth[t, 1])**2) / 2)
+        frames[t] += amplitude * stamp / np.linalg.norm(stamp)
+    return frames, truth
+
+
+@pytest.mark.parametrize(('n_frames', 'length', 'hop'), [
+    (10, 20, 10), (20, 20, 10), (21, 20, 10), (50, 20, 7), (40, 20, 20)])
+def test_batches_cover_every_frame_and_end_with_the_last(n_frames, length, hop):
+    starts = batch_starts(n_frames, length, hop)
+    covered = {index for start in starts for index in range(start, min(start + length, n_frames))}
+    assert covered == set(range(n_frames))
+    assert starts == sorted(set(starts))
+    assert starts[-1] == max(0, n_frames - length)
+
+
+@pytest.mark.parametrize('options', [
+    {}, {'batch_length': 20}, {'batch_length': 20, 'hop': 20}, {'batch_length': 15, 'hop': 4}])
+def test_one_target_is_one_trajectory_over_all_frames(options):
+    frames, truth = moving_target(55)
+    result = tbd.detect(frames, **OPTIONS, **options)
+    assert len(result.trajectories) == 1
+    trajectory = result.trajectories[0]
+    assert trajectory.positions.shape == (55, 2)
+    assert np.hypot(*(trajectory.positions - truth).T).max() < 1.5
+    assert trajectory.velocity[:, 0].mean() == pytest.approx(0.7, abs=0.05)
+    assert trajectory.statistic > result.threshold
+
+
+def test_frames_without_the_target_are_nan():
+    frames, truth = moving_target(30)
+    frames[20:] = np.random.default_rng(2).standard_normal((10, *frames.shape[1:]))
+    result = tbd.detect(frames, **OPTIONS, batch_length=10, hop=10)
+    positions = result.trajectories[0].positions
+    assert np.isfinite(positions[:20]).all()
+    assert np.isnan(positions[20:]).all()
+
+
+def test_batch_without_a_finite_pixel_is_passed_over(caplog):
+    frames, truth = moving_target(30)
+    frames[10:20] = np.nan
+    result = tbd.detect(frames, **OPTIONS, batch_length=10, hop=10)
+    assert result.n_batches == 2
+    assert 'frames 10 to 19 hold no finite pixel' in caplog.text
+    found = np.any([np.isfinite(found.positions[:, 0]) for found in result.trajectories], axis=0)
+    np.testing.assert_array_equal(found, np.repeat([True, False, True], 10))
+
+
+def test_recording_without_a_finite_pixel_is_refused():
+    with pytest.raises(tbd.DataError, match='no pixel of the 30 frames is finite'):
+        tbd.detect(np.full((30, 8, 8), np.nan), **OPTIONS, batch_length=10, hop=10)
+
+
+def test_dropped_frames_do_not_shift_the_target():
+    frames, truth = moving_target(30)
+    keep = np.delete(np.arange(30), [4, 5, 13, 22])
+    result = tbd.detect(frames[keep], stamps=keep.astype(float), **OPTIONS)
+    assert len(result.trajectories) == 1
+    assert np.hypot(*(result.trajectories[0].positions - truth[keep]).T).max() < 1.5
+
+
+def test_time_unit_changes_nothing_but_the_velocity():
+    frames, _ = moving_target(20)
+    slow = tbd.detect(frames, **OPTIONS)
+    fast = tbd.detect(frames, stamps=np.arange(20) / 50, **OPTIONS)
+    np.testing.assert_allclose(slow.trajectories[0].positions, fast.trajectories[0].positions,
+                               atol=1e-6)
+    np.testing.assert_allclose(50 * slow.trajectories[0].velocity,
+                               fast.trajectories[0].velocity, rtol=1e-6)
