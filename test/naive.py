@@ -123,20 +123,20 @@ def shrink(row, weight):
     return positive * max(0.0, 1 - weight / norm) if norm > 0 else positive
 
 
-def clipped(rows, courses, weights):
+def clipped(rows, envelopes, weights):
     """Minimise 1/2 |x - row|^2 + weight max |x_k| / course_k for each row, (P, T).
 
     What is cut off above a level is the largest sum of course (|row| - level course) over any set
     of frames, so the level is the largest at which one of these sums is the weight.
     """
     sizes = np.abs(rows)
-    order = np.argsort(-sizes / np.maximum(courses, 1e-300), axis=1)
+    order = np.argsort(-sizes / np.maximum(envelopes, 1e-300), axis=1)
     sorted_sizes, sorted_courses = (np.take_along_axis(values, order, axis=1)
-                                    for values in (sizes, courses))
+                                    for values in (sizes, envelopes))
     reached = ((np.cumsum(sorted_courses * sorted_sizes, axis=1) - weights[:, None])
                / np.maximum(np.cumsum(sorted_courses**2, axis=1), 1e-300))
     level = np.maximum(reached.max(axis=1, keepdims=True), 0)
-    return rows * np.minimum(1, level * courses / np.maximum(sizes, 1e-300))
+    return rows * np.minimum(1, level * envelopes / np.maximum(sizes, 1e-300))
 
 
 def convex_objective(amplitudes, matched, gram, weights, t):

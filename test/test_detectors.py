@@ -67,13 +67,13 @@ def test_frames_without_data_have_no_amplitude_and_take_nothing_off_the_snr(dete
 
 
 @pytest.mark.parametrize('detector', ['convex', 'greedy', 'mt_dp', 'pc_dp', 'velocity_filter'])
-@pytest.mark.parametrize('upright', [False, True])
-def test_amplitude_in_frames_of_one_row_is_that_of_the_row(detector, upright):
+@pytest.mark.parametrize('rectified', [False, True])
+def test_amplitude_in_frames_of_one_row_is_that_of_the_row(detector, rectified):
     frames = np.zeros((8, 1, 64))
     for t in range(8):
         row = np.exp(-0.125 * (np.arange(64) - 20 - t)**2)
         frames[t, 0] = 9 * row / np.linalg.norm(row)
-    if upright:
+    if rectified:
         frames = frames.transpose(0, 2, 1)
     [found] = tbd.detect(frames, detector=detector, psf_sigma_px=2.0, threshold=12.0).trajectories
     np.testing.assert_allclose(found.amplitudes, 9.0, rtol=0.07)

@@ -18,24 +18,27 @@ MODULES = sorted(SOURCE.rglob('*.py'))
 
 # Rooms of the package to the rooms of the package they may import, beside their own. The file
 # names without a suffix are modules; everything else is a folder.
-BASICS = {'errors', 'given_array', 'types', 'options', 'geometry'}
+BASICS = {'errors', 'array_option', 'atomic_files', 'types', 'options', 'geometry', 'parallel'}
 ALLOWED = {
     '__init__': BASICS | {'detection', 'solvers'},
     'errors': set(),
     'geometry': set(),
     'types': set(),
-    'given_array': {'errors', 'recordings'},
-    'options': {'errors', 'given_array'},
+    'atomic_files': set(),
+    'parallel': set(),
+    'array_option': {'errors', 'recordings'},
+    'options': {'errors', 'array_option'},
     'kernels': set(),
-    'models': BASICS | {'kernels'},
-    'preprocess': BASICS | {'kernels', 'models'},
-    'solvers': BASICS | {'kernels', 'models'},
-    'tracking': BASICS | {'kernels', 'models', 'preprocess', 'solvers'},
+    'option_models': BASICS | {'models'},
+    'models': {'errors', 'geometry', 'kernels'},
+    'preprocess': BASICS | {'kernels', 'models', 'option_models'},
+    'solvers': BASICS | {'kernels', 'models', 'option_models'},
+    'tracking': BASICS | {'kernels', 'models', 'option_models', 'preprocess', 'solvers'},
     'recordings': BASICS,
     'simulation': BASICS | {'models'},
     'detection': BASICS | {'preprocess', 'solvers', 'tracking'},
-    'evaluation': BASICS | {'__init__', 'kernels', 'models', 'recordings', 'simulation', 'solvers',
-                            'tracking'},
+    'evaluation': BASICS | {'__init__', 'kernels', 'models', 'option_models', 'recordings',
+                            'simulation', 'solvers', 'tracking'},
     'cli': BASICS | {'__init__', 'detection', 'evaluation', 'recordings', 'simulation',
                      'tracking'},
     'ros': BASICS | {'__init__', 'recordings', 'simulation', 'tracking'},

@@ -18,7 +18,7 @@ from track_before_detect.recordings.readers_images import IMAGE_SUFFIXES, read_i
 _ARCHIVE_ERRORS = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error)
 
 
-class GivenArray:
+class ArrayOption:
     """An array that compares by its content and is written as its source.
 
     Parameters
@@ -35,7 +35,7 @@ class GivenArray:
         self.source = source
 
     def __eq__(self, other):
-        if not isinstance(other, GivenArray):
+        if not isinstance(other, ArrayOption):
             return NotImplemented
         return (self.array.dtype == other.array.dtype
                 and np.array_equal(self.array, other.array))
@@ -50,14 +50,14 @@ class GivenArray:
         return f'<{self}>'
 
 
-def given_array(name: str, value: Any) -> GivenArray:
+def array_option(name: str, value: Any) -> ArrayOption:
     """Return the array an option was given.
 
     Parameters
     ----------
     name : str
         Of the option; also the first array looked for in an archive.
-    value : array, path or GivenArray
+    value : array, path or ArrayOption
         Numbers, or the name of a .npy or .npz file or of an image.
 
     Raises
@@ -65,7 +65,7 @@ def given_array(name: str, value: Any) -> GivenArray:
     ParameterError
         When there is no array of numbers.
     """
-    if isinstance(value, GivenArray):
+    if isinstance(value, ArrayOption):
         return value
     source = ''
     if isinstance(value, (str, os.PathLike)):
@@ -78,7 +78,7 @@ def given_array(name: str, value: Any) -> GivenArray:
     if array.dtype.kind not in 'biuf' or array.ndim == 0:
         raise ParameterError(f'{name} must be an array of real numbers, or the name of a file '
                              f'with one, got {source or type(value).__name__}')
-    return GivenArray(array, source)
+    return ArrayOption(array, source)
 
 
 def _read(name, path):

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 
+from track_before_detect.array_option import array_option, ArrayOption
 from track_before_detect.errors import ParameterError, suggestion
-from track_before_detect.array_option import given_array, GivenArray
 
 DETECTORS = ('convex', 'greedy', 'cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_dpr', 'mff_dpr',
              'mt_dp', 'pc_dp', 'velocity_filter')
@@ -54,7 +54,7 @@ class DetectorOptions:
     psf_model: str = _option(
         'gaussian', 'Whether a pixel sees the Gaussian at its centre, or its mean over the pixel.',
         kind='text', choices=('gaussian', 'integrated_gaussian'))
-    psf: GivenArray | None = _option(
+    psf: ArrayOption | None = _option(
         None, 'Point spread function in place of the Gaussian: an array with odd sides, the '
         'target in its middle, of any scale; between the pixels by a cubic spline. A file is '
         '.npy, .npz or an image.', kind='array', optional=True)
@@ -136,12 +136,12 @@ class DetectorOptions:
         'none', 'How the noise level is found: none takes a standard deviation of 1, robust '
         'estimates one number per frame, map one per pixel.', kind='text',
         choices=('none', 'robust', 'map'))
-    variance: GivenArray | None = _option(
+    variance: ArrayOption | None = _option(
         None, 'Variance of the noise of each pixel, an array (H, W) or (frames, H, W) or a file '
         '(.npy, .npz or an image); with noise=robust its scale does not matter. Where it is not '
         'finite a pixel counts as masked. Multiplied by w^2 it weighs paths by a diagonal W: the '
         'threshold then is on |W^-1 h|.', kind='array', optional=True)
-    mask: GivenArray | None = _option(
+    mask: ArrayOption | None = _option(
         None, 'Pixels that hold no data, an array (H, W) or (frames, H, W) or a file (.npy, .npz '
         'or an image); masked where it is not 0.', kind='array', optional=True)
 
@@ -212,7 +212,7 @@ def _checked(name, value, metadata):
                 f'{name} must be one of {", ".join(metadata["choices"])}, got {value!r}{hint}')
         return value
     if kind == 'array':
-        return given_array(name, value)
+        return array_option(name, value)
     if kind == 'numbers':
         if isinstance(value, (str, bytes)) or np.ndim(value) != 1 or not len(value):
             raise ParameterError(f'{name} must be a list of numbers, got {value!r}')

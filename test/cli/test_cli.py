@@ -12,13 +12,13 @@ import types
 import numpy as np
 import pytest
 
-from track_before_detect import cli
+from track_before_detect.cli import commands as cli
 from track_before_detect.options import describe
 from track_before_detect.recordings.readers import open_recording
 from track_before_detect.simulation.scenarios import SCENARIOS
 from track_before_detect.types import DetectionResult, Trajectory
 
-CONFIG = Path(__file__).parents[1] / 'config' / 'detector.param.yaml'
+CONFIG = Path(__file__).parents[2] / 'config' / 'detector.param.yaml'
 
 
 @pytest.fixture(autouse=True)

@@ -8,8 +8,8 @@ import pytest
 
 from track_before_detect import cli
 from track_before_detect.evaluation.benchmarks import convex as bench
-from track_before_detect.evaluation.studies import registry as suites
 from track_before_detect.evaluation.engine.report import Quantity, SuiteResult
+from track_before_detect.evaluation.studies import registry as suites
 
 
 @pytest.fixture(autouse=True)

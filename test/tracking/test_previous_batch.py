@@ -9,7 +9,7 @@ from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.tracking import pipeline as pipelines
 from track_before_detect.tracking import sensors as several
-from track_before_detect.tracking.previous_batch import carried_over
+from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.types import FrameBatch, Trajectory
 
 LENGTH, HOP = 14, 7
@@ -60,13 +60,13 @@ def test_positions_of_the_common_frames_are_taken_to_the_plane_of_the_batch():
     own[4:] = geometry.apply(maps, on_plane)[:4]
     own[5] = np.nan
     before = Trajectory(3, own, np.ones(8), np.zeros((8, 2)), np.arange(8.0), np.arange(8), 9, 3)
-    earlier = carried_over([before], np.arange(4, 10), maps)
+    earlier = map_previous_batch([before], np.arange(4, 10), maps)
     assert earlier.known.tolist() == [True] * 4 + [False] * 2
     [positions] = earlier.positions
     np.testing.assert_allclose(positions[[0, 2, 3]], on_plane[[0, 2, 3]])
     assert np.isnan(positions[[1, 4, 5]]).all()
-    assert carried_over([before], np.arange(8, 14), maps) is None
-    assert carried_over([], np.arange(6), maps) is None
+    assert map_previous_batch([before], np.arange(8, 14), maps) is None
+    assert map_previous_batch([], np.arange(6), maps) is None
 
 
 def test_a_batch_of_a_moving_camera_is_told_in_its_own_plane(spy):
@@ -113,7 +113,7 @@ def test_a_stream_gives_what_its_batches_give_alone(monkeypatch, seed, presence)
     options = DetectorOptions(threshold=7.0 if presence == 'full' else 7.4, presence=presence)
     warm = pipelines.TrackingPipeline(options)
     together = [warm.process(batch).trajectories for batch in batches(frames)]
-    monkeypatch.setattr(pipelines, 'carried_over', lambda *_: None)
+    monkeypatch.setattr(pipelines, 'map_previous_batch', lambda *_: None)
     cold = pipelines.TrackingPipeline(options)
     alone = [cold.process(batch).trajectories for batch in batches(frames)]
     for first, second in zip(together, alone, strict=True):

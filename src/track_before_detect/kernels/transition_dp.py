@@ -29,53 +29,53 @@ vectorised; they take flat arrays with unsigned offsets, which spares a slice fo
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import FUSED_UNCHECKED
+
 ABSENT = np.float32(-1e30)
 # Part of the PSF that border and mask have to leave for a pixel to be searched.
 LEAST_PHI = np.float32(1e-3)
 
-_COMPILE = {'nogil': True, 'cache': True, 'error_model': 'numpy',
-            'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
 _U = np.uint64
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _fill(out, o, n, value):
     for x in range(_U(n)):
         out[o + x] = value
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _copy(out, o, source, a, n):
     for x in range(_U(n)):
         out[o + x] = source[a + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _raise(out, o, source, a, n):
     for x in range(_U(n)):
         out[o + x] = out[o + x] if out[o + x] > source[a + x] else source[a + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _largest_of_two(out, o, source, a, b, n):
     for x in range(_U(n)):
         out[o + x] = source[a + x] if source[a + x] > source[b + x] else source[b + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _largest_of_three(out, o, source, a, b, c, n):
     for x in range(_U(n)):
         largest = source[a + x] if source[a + x] > source[b + x] else source[b + x]
         out[o + x] = largest if largest > source[c + x] else source[c + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _add(out, o, source, a, n):
     for x in range(_U(n)):
         out[o + x] += source[a + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _largest_in_rows(column, o, merit, base, y, rows, first, last, n_y, n_x, x_first, n):
     """Write the largest over rows y + dy to column[o + x]; return whether there are such."""
     n_valid = 0
@@ -102,7 +102,7 @@ def _largest_in_rows(column, o, merit, base, y, rows, first, last, n_y, n_x, x_f
     return n_valid > 0
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _extend(merit, scores, t, n_y, n_x, rows, first_row, last_row, y_first, y_last, x_first,
             x_last, column):
     before = (t - 1) * n_y * n_x
@@ -147,7 +147,7 @@ def _extend(merit, scores, t, n_y, n_x, rows, first_row, last_row, y_first, y_la
         _add(merit, out, scores, out, n)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def accumulate(merit, scores, rows, row_first, sets, boxes):
     """Write merit[t, p] = scores[t, p] + max over the set of merit[t - 1, p + (dx, dy)].
 
@@ -180,7 +180,7 @@ def accumulate(merit, scores, rows, row_first, sets, boxes):
     return n_candidates
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _spread_boxes(boxes, rows, row_first, sets, n_y, n_x):
     """Grow the boxes of later frames by what depends on the boxes of those before."""
     for t in range(1, boxes.shape[0]):
@@ -193,7 +193,7 @@ def _spread_boxes(boxes, rows, row_first, sets, n_y, n_x):
             boxes[t, 3] = min(n_x, max(boxes[t, 3], boxes[t - 1, 3] - rows[r, 1]))
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _trace(merit, rows, row_first, sets, y, x, path):
     """Follow the best path back from pixel (x, y) of the last frame."""
     n_frames, n_y, n_x = merit.shape
@@ -213,7 +213,7 @@ def _trace(merit, rows, row_first, sets, y, x, path):
         path[t - 1, 0], path[t - 1, 1] = x, y
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _power(out, o, real, imaginary, phi, i, n):
     for x in range(_U(n)):
         share = phi[i + x]
@@ -221,39 +221,39 @@ def _power(out, o, real, imaginary, phi, i, n):
         out[o + x] = power / share if share > LEAST_PHI else np.float32(0)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _statistic(out, o, psi, phi, i, n):
     for x in range(_U(n)):
         share = phi[i + x]
         out[o + x] = psi[i + x] / np.sqrt(share) if share > LEAST_PHI else np.float32(0)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _root(out, o, n):
     for x in range(_U(n)):
         out[o + x] = np.sqrt(out[o + x])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _square(out, o, n):
     for x in range(_U(n)):
         out[o + x] = out[o + x] * out[o + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _square_positive(out, o, n):
     for x in range(_U(n)):
         value = out[o + x] if out[o + x] > 0 else np.float32(0)
         out[o + x] = value * value
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _absolute(out, o, n):
     for x in range(_U(n)):
         out[o + x] = abs(out[o + x])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _score_row(out, o, real, imaginary, phi, i, n, is_complex, squared, signed):
     """Write what pixels add to the merit function, from psi and phi at i, to out[o + x]."""
     if is_complex:
@@ -270,7 +270,7 @@ def _score_row(out, o, real, imaginary, phi, i, n, is_complex, squared, signed):
         _absolute(out, o, n)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def score_pixels(scores, psi, phi, squared, signed):
     """Write what each pixel adds to the merit function.
 
@@ -287,7 +287,7 @@ def score_pixels(scores, psi, phi, squared, signed):
         _score_row(flat, o, real, imaginary, flat_phi, o, n_x, psi.shape[0] == 2, squared, signed)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _score_again(scores, psi, taken, spoilt, phi, t, box, squared, signed):
     """Write what the pixels of a box of frame t add after what was taken from them."""
     n_x = scores.shape[2]
@@ -304,7 +304,7 @@ def _score_again(scores, psi, taken, spoilt, phi, t, box, squared, signed):
                    parts[2], _U(0), n, psi.shape[0] == 2, squared, signed)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _cancel_in_frame(psi, taken, spoilt, phi, weights, stamp, cores, t, y, x, seen):
     """Subtract the target at pixel (x, y) of frame t, and end the use of the pixels it spoils.
 
@@ -342,7 +342,7 @@ def _cancel_in_frame(psi, taken, spoilt, phi, weights, stamp, cores, t, y, x, se
                 spoilt[t, v, u] = True
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _largest_value(values, o, n):
     largest = values[o]
     for x in range(_U(n)):
@@ -350,7 +350,7 @@ def _largest_value(values, o, n):
     return largest
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _largest_of_rows(merit, largest, first_row, last_row):
     """Write the largest of each row of the last frame to largest[y]."""
     n_frames, n_y, n_x = merit.shape
@@ -359,7 +359,7 @@ def _largest_of_rows(merit, largest, first_row, last_row):
         largest[y] = _largest_value(flat, _U(((n_frames - 1) * n_y + y) * n_x), n_x)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def find_targets(psi, phi, weights, stamp, cores, squared, signed, scores, merit, taken, spoilt,
                  rows, row_first, sets, bound, paths, seen, values):
     """Find target after target: the best path, its cancellation, the merit function again.

@@ -28,64 +28,64 @@ final_sources, final_shifts : int32 (Vx, G)
 import numba
 import numpy as np
 
-_COMPILE = {'nogil': True, 'cache': True, 'error_model': 'numpy',
-            'fastmath': {'nnan', 'ninf', 'nsz', 'contract', 'arcp', 'afn'}}
+from track_before_detect.kernels.compile_flags import APPROXIMATE
+
 _U = np.uint64
 # Columns searched together, and what an unrolled loop adds at once.
 BLOCK = 128
 STEP = 32
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _whole_steps(n):
     """Return n rounded up to what the unrolled loops add at once; the rest would go one by one."""
     return (n + STEP - 1) // STEP * STEP
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _copy(out, o, source, a, n):
     for x in range(_U(n)):
         out[o + x] = source[a + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _fill(out, o, n, value):
     for x in range(_U(n)):
         out[o + x] = value
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _add(out, o, source, a, n):
     for x in range(_U(n)):
         out[o + x] += source[a + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _sum_two(out, o, source, a, b, n):
     for x in range(_U(n)):
         out[o + x] = source[a + x] + source[b + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _sum_three(out, o, source, a, b, c, n):
     for x in range(_U(n)):
         out[o + x] = source[a + x] + source[b + x] + source[c + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _sum_four(out, o, source, a, b, c, d, n):
     for x in range(_U(n)):
         out[o + x] = (source[a + x] + source[b + x]) + (source[c + x] + source[d + x])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _sum_five(out, o, source, a, b, c, d, e, n):
     for x in range(_U(n)):
         out[o + x] = ((source[a + x] + source[b + x]) + (source[c + x] + source[d + x])
                       + source[e + x])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _raise_best(best, number, sums, phi, least, velocity, signed, n):
     """Raise best[x] to psi / sqrt(phi), with psi = sums[x] and phi = sums[phi + x]."""
     if signed:
@@ -99,7 +99,7 @@ def _raise_best(best, number, sums, phi, least, velocity, signed, n):
         number[x] = velocity if better else number[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _load(rows, o, image, start, x_0, n_x, width):
     """Write an image row from column x_0 on, zero outside the image, to rows[o + x].
 
@@ -115,7 +115,7 @@ def _load(rows, o, image, start, x_0, n_x, width):
     _fill(rows, o + _U(right), width - right, np.float32(0))
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def _sum_of(out, rows, sources, shifts, first, n_parts, offsets, stride, pad, n):
     """Write the sum of shifted rows, ``n_parts`` from entry ``first`` of the lists, to out[x]."""
     for g in range(n_parts):
@@ -135,7 +135,7 @@ def _sum_of(out, rows, sources, shifts, first, n_parts, offsets, stride, pad, n)
         _add(out, o, rows, offsets[g], n)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**APPROXIMATE)
 def best_velocities(best, number, psi, phi, moves_y, first_vx, last_vx, pad, node_sources,
                     node_shifts, node_first, node_last, final_sources, final_shifts, least,
                     signed, first_row, last_row, first_column, last_column):

@@ -12,10 +12,10 @@ import math
 import numba
 import numpy as np
 
-_COMPILE = {'nogil': True, 'cache': True}
+from track_before_detect.kernels.compile_flags import EXACT
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def _weights(fraction, weight, slope):
     """Fill the weights, and their derivative, of the pixels at -1, 0, 1 and 2."""
     f = fraction
@@ -29,7 +29,7 @@ def _weights(fraction, weight, slope):
     slope[3] = (1.5 * f - 1.0) * f
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def sample_with_slope(image, x, y, out):
     """Write value and slope in x and y at each position to out[n] = (f, df/dx, df/dy).
 
@@ -58,7 +58,7 @@ def sample_with_slope(image, x, y, out):
         out[n, 2] = along_y
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def warp(image, matrix, out):
     """Write to out[y, x] the image where ``matrix`` takes (x, y), NaN where that is outside.
 

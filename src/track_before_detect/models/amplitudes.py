@@ -85,6 +85,11 @@ class AmplitudeModel:
         """Whether the modulus is the same in all frames and the phase free."""
         return self.code == COMPLEX_CONSTANT
 
+    @property
+    def signs(self) -> tuple[int, ...]:
+        """Signs that one amplitude for all frames may have."""
+        return (1, -1) if self.code == SIGNED_CONSTANT else (1,)
+
     def n_numbers(self, n_frames: int) -> int:
         """Return of how many real numbers the amplitudes of a path are made."""
         return (1 if self.is_constant else n_frames) + n_frames * self.is_complex
@@ -114,7 +119,7 @@ class AmplitudeModel:
             return 0.7 if self.has_one_modulus else 0.9
         return 7.0 if self.is_complex else 12.0
 
-    def course(self, norms: NDArray) -> NDArray[np.float64]:
+    def envelope(self, norms: NDArray) -> NDArray[np.float64]:
         """Return n / |n|, in proportion to which the x_t of a constant amplitude are, (T,).
 
         Parameters
@@ -124,25 +129,25 @@ class AmplitudeModel:
         """
         return norms / max(float(np.linalg.norm(norms)), 1e-300)
 
-    def best(self, seen: NDArray, course: NDArray) -> NDArray:
+    def best(self, seen: NDArray, envelope: NDArray) -> NDArray:
         """Return the amplitudes that fit the statistic of each frame best, shape (T,)."""
         if self.has_one_modulus:
-            return self.statistic(seen, course) * course * np.exp(1j * np.angle(seen))
+            return self.statistic(seen, envelope) * envelope * np.exp(1j * np.angle(seen))
         if self.is_constant:
-            alpha = float(seen @ course)
-            return course * (max(alpha, 0.0) if self.code == CONSTANT else alpha)
+            alpha = float(seen @ envelope)
+            return envelope * (max(alpha, 0.0) if self.code == CONSTANT else alpha)
         return np.maximum(seen, 0) if self.code == NON_NEGATIVE else seen.copy()
 
-    def statistic(self, seen: NDArray, course: NDArray) -> float:
+    def statistic(self, seen: NDArray, envelope: NDArray) -> float:
         """Return eta for the matched filter statistic h of each frame, shape (T,)."""
         if self.has_one_modulus:
-            return float(np.abs(seen) @ course)
+            return float(np.abs(seen) @ envelope)
         if self.is_constant:
-            alpha = float(seen @ course)
+            alpha = float(seen @ envelope)
             return max(alpha, 0.0) if self.code == CONSTANT else abs(alpha)
         return float(np.linalg.norm(np.maximum(seen, 0) if self.code == NON_NEGATIVE else seen))
 
-    def upright(self, seen: NDArray) -> NDArray:
+    def rectified(self, seen: NDArray) -> NDArray:
         """Return statistics h (T,) with the sign of the target taken off, magnitudes if free."""
         if self.code in (NON_NEGATIVE, CONSTANT):
             return seen
@@ -150,10 +155,10 @@ class AmplitudeModel:
             return seen * (np.sign(seen.sum()) or 1.0)
         return np.abs(seen)
 
-    def norms(self, amplitudes: NDArray, courses: NDArray) -> NDArray[np.float64]:
+    def norms(self, amplitudes: NDArray, envelopes: NDArray) -> NDArray[np.float64]:
         """Return the norm that shrinks the amplitudes (P, T) of each path, shape (P,)."""
         if self.has_one_modulus:
-            return np.max(np.abs(amplitudes) / np.where(courses > 0, courses, np.inf), axis=1)
+            return np.max(np.abs(amplitudes) / np.where(envelopes > 0, envelopes, np.inf), axis=1)
         return np.linalg.norm(amplitudes, axis=1)
 
     def snr(self, seen: NDArray) -> float:
@@ -165,13 +170,13 @@ class AmplitudeModel:
 
         Values add up along a path, so costs add to them: lambda^2 = threshold^2 + cost for the
         squared statistics, lambda = threshold + cost for the constant models, the cost then
-        multiplied by :meth:`dearness`.
+        multiplied by :meth:`cost_scale`.
         """
         if self.is_constant:
             return threshold + cost
         return math.sqrt(threshold**2 + cost)
 
-    def dearness(self, norms: NDArray) -> float:
+    def cost_scale(self, norms: NDArray) -> float:
         """Return sqrt(T) / |n|, by which the turns of a constant amplitude cost more.
 
         With a cost that grows as less is seen of a target, sum of n h less cost stays additive.

@@ -116,8 +116,8 @@ class _Problem:
         rows, columns = np.mgrid[stride // 2:template.shape[0]:stride,
                                  stride // 2:template.shape[1]:stride]
         points = np.column_stack([columns.ravel(), rows.ravel()])
-        seen_at = geometry.apply(self.matrix(parameters), points)
-        inside = np.all((seen_at >= 0) & (seen_at <= self._size - 1), axis=1)
+        map_position = geometry.apply(self.matrix(parameters), points)
+        inside = np.all((map_position >= 0) & (map_position <= self._size - 1), axis=1)
         points = points[inside]
         tile = (points * _TILES // self._size) @ (1, _TILES)
         strength = slope[points[:, 1], points[:, 0]]

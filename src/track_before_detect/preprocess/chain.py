@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.models.measurement.psf import psf_of
+from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.background import (
     remove_spatial_median,

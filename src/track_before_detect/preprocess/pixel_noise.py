@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.array_option import ArrayOption
 from track_before_detect.errors import DataError
-from track_before_detect.array_option import GivenArray
 from track_before_detect.types import FrameBatch
 
 
-def masked_pixels(given: GivenArray, batch: FrameBatch) -> NDArray[np.bool_]:
+def masked_pixels(given: ArrayOption, batch: FrameBatch) -> NDArray[np.bool_]:
     """Return which pixels of a batch hold no data, shape (T, H, W) or (1, H, W)."""
     masked = _of_batch('mask', given, batch) != 0
     if masked.all() and np.all(given.array):
@@ -18,7 +18,7 @@ def masked_pixels(given: GivenArray, batch: FrameBatch) -> NDArray[np.bool_]:
     return masked
 
 
-def given_level(given: GivenArray, batch: FrameBatch) -> NDArray[np.float64]:
+def given_level(given: ArrayOption, batch: FrameBatch) -> NDArray[np.float64]:
     """Return the standard deviation of the noise, shape (T, H, W) or (1, H, W).
 
     NaN where the variance is not finite.

@@ -153,6 +153,6 @@ def _common_share(matrix, shape):
     """Return the share of an image's pixels that are still inside after a map."""
     rows, columns = (np.linspace(0, size - 1, 16) for size in shape)
     points = np.stack(np.meshgrid(columns, rows), axis=-1)
-    seen_at = geometry.apply(matrix, points)
-    inside = (seen_at >= 0) & (seen_at <= (shape[1] - 1, shape[0] - 1))
+    map_position = geometry.apply(matrix, points)
+    inside = (map_position >= 0) & (map_position <= (shape[1] - 1, shape[0] - 1))
     return float(np.mean(inside.all(axis=-1)))

@@ -8,8 +8,8 @@ import os
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import MissingExtraError
 from track_before_detect.atomic_files import atomic_path
+from track_before_detect.errors import MissingExtraError
 from track_before_detect.types import Trajectory
 
 # Bright and distinct on a grey picture; a trajectory keeps its colour in every picture.

@@ -41,7 +41,7 @@ class FoundTrajectory:
 
 
 @dataclass(frozen=True)
-class Earlier:
+class EarlierPaths:
     """Targets that were seen in frames which the next batch holds again.
 
     Attributes
@@ -96,7 +96,7 @@ class BatchDetector(ABC):
 
     def __init__(self, options: DetectorOptions):
         self.options = options
-        self.earlier: Earlier | None = None
+        self.earlier: EarlierPaths | None = None
         if not self.takes_any_psf:
             for name, plain in (('psf', None), ('psf_model', 'gaussian')):
                 if getattr(options, name) != plain:

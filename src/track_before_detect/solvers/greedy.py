@@ -42,11 +42,11 @@ class GreedyDetector(PathDetector):
             seen = paths.seen(added)
             paths.assign(np.array([added]), paths.best(added)[None])
             present = self.present(path.positions, seen)
-            shown = present & paths.shown(added)
+            visible = present & paths.visible(added)
             found.append(FoundTrajectory(
                 np.where(present[:, None], path.positions, np.nan),
                 np.where(present, paths.target_amplitudes(added), np.nan),
-                self.statistic(path.value, len(seen)), model.snr(seen[shown])))
+                self.statistic(path.value, len(seen)), model.snr(seen[visible])))
         found.sort(key=lambda trajectory: -trajectory.statistic)
         threshold = self.statistic(model.value(paths.threshold), len(task.times))
         return BatchResult(found, threshold, status, history, float('nan'))

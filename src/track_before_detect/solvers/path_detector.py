@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.multi_sensor import PlaneView
-from track_before_detect.models.presence import frames_seen_in, presence_for
-from track_before_detect.models.measurement.psf import Psf, psf_of
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
+from track_before_detect.models.measurement.psf import Psf
+from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
 from track_before_detect.models.motion.range_doppler import build_range_doppler_graph
 from track_before_detect.models.motion.state_graph import (
     build_state_graph,
@@ -22,28 +22,26 @@ from track_before_detect.models.motion.state_graph import (
     regular_stamps,
     StateGraph,
 )
-from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
+from track_before_detect.models.presence import frames_seen_in, presence_for
+from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
+from track_before_detect.parallel import usable_cores
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
     median_interval,
 )
-from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
-from track_before_detect.solvers.search.constant_search import ConstantSearch
-from track_before_detect.parallel import usable_cores
-from track_before_detect.solvers.search.partial_search import PartialSearch
-from track_before_detect.solvers.search.path_search import PathSearch
-from track_before_detect.solvers.convex.working_set import PathSet
-from track_before_detect.solvers.search.viterbi_table import table_bytes
-from track_before_detect.solvers.search.position_scores import grid_shape
 from track_before_detect.solvers.calibration.calibration_cost import search_seconds
-from track_before_detect.solvers.search.sheared_plane import ShearedPlane
 from track_before_detect.solvers.calibration.threshold import (
     noise_frames,
     NoiseStudy,
     threshold_for,
 )
+from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
+from track_before_detect.solvers.search.constant_search import ConstantSearch
+from track_before_detect.solvers.search.partial_search import PartialSearch
+from track_before_detect.solvers.search.path_search import PathSearch
 from track_before_detect.solvers.search.periodic_columns import (
     doppler_margin,
     in_frame,
@@ -51,6 +49,9 @@ from track_before_detect.solvers.search.periodic_columns import (
     strip,
     strip_margin,
 )
+from track_before_detect.solvers.search.position_scores import grid_shape
+from track_before_detect.solvers.search.sheared_plane import ShearedPlane
+from track_before_detect.solvers.search.viterbi_table import table_bytes
 from track_before_detect.types import Progress
 
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
@@ -78,22 +79,22 @@ class Task:
         The paths.
     search : PathSearch
         Finds the best of them.
-    paths : PathSet
+    paths : WorkingSet
         Holds the frames; starts empty.
     times : array, shape (T,)
         In the unit of time of the graph.
     weights : float32 array, shape (T, H, W), (1, H, W) or (0, 0, 0)
         One over the noise of each pixel, zero where masked; of no frames where it is one.
-    psf : Psf or PlaneView
+    psf : Psf or MultiSensor
         What a target looks like in these frames.
     """
 
     graph: StateGraph
     search: PathSearch
-    paths: PathSet
+    paths: WorkingSet
     times: NDArray[np.float64]
     weights: NDArray[np.float32]
-    psf: Psf | PlaneView
+    psf: Psf | MultiSensor
 
 
 class PathDetector(BatchDetector):
@@ -103,7 +104,7 @@ class PathDetector(BatchDetector):
     ----------
     options : DetectorOptions
         Motion, PSF, amplitudes and threshold.
-    view : PlaneView, optional
+    view : MultiSensor, optional
         How the frames of the one batch that is then searched see a common plane; without it all
         batches come from one sensor, in its own pixels.
     """
@@ -114,10 +115,10 @@ class PathDetector(BatchDetector):
     # Best paths of noise whose positions are refined.
     refined_in_noise = 0
 
-    def __init__(self, options: DetectorOptions, view: PlaneView | None = None):
+    def __init__(self, options: DetectorOptions, view: MultiSensor | None = None):
         super().__init__(options)
         self._view = view
-        self.psf: Psf | PlaneView = view or psf_of(options)
+        self.psf: Psf | MultiSensor = view or psf_of(options)
         self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
         _check_motion(options)
         _check_exposure(options, view)
@@ -274,7 +275,7 @@ class PathDetector(BatchDetector):
             f'{self.presence} {margin > 0}', area, searcher, doppler, seconds,
             decay=1.0 if self.model.is_complex else 0.5)
 
-    def largest_value(self, search: PathSearch, psf: Psf | PlaneView, times: NDArray,
+    def largest_value(self, search: PathSearch, psf: Psf | MultiSensor, times: NDArray,
                       ) -> Callable[[NDArray], float]:
         """Return a function that returns the largest value of any path in frames of noise.
 
@@ -282,7 +283,7 @@ class PathDetector(BatchDetector):
         ----------
         search : PathSearch
             The paths.
-        psf : Psf or PlaneView
+        psf : Psf or MultiSensor
             What a target looks like there.
         times : array, shape (T,)
             In the unit of time of the graph.
@@ -291,14 +292,14 @@ class PathDetector(BatchDetector):
 
     def _margin(self, graph, width):
         """Return the columns that frames are continued by beyond a seam, 0 without one."""
-        if isinstance(self.psf, PlaneView):
+        if isinstance(self.psf, MultiSensor):
             return 0
         if self.options.motion_model == 'range_bearing':
             return strip_margin(graph, width, self.psf)
         return self._doppler_margin(width)
 
     def _doppler_margin(self, width):
-        assert not isinstance(self.psf, PlaneView)
+        assert not isinstance(self.psf, MultiSensor)
         return doppler_margin(self.options.doppler_ambiguities, width, self.psf)
 
     def detect(self, frames: NDArray, stamps: NDArray,
@@ -329,7 +330,7 @@ class PathDetector(BatchDetector):
             weights = np.zeros((0, 0, 0), np.float32)
         weights = np.ascontiguousarray(weights, np.float32)
         ambiguous = self.options.doppler_ambiguities > 0
-        paths = PathSet(frames, weights, psf, self._weight(threshold, len(frames)),
+        paths = WorkingSet(frames, weights, psf, self._weight(threshold, len(frames)),
                         self.model, shape[1] if ambiguous else None)
         result = self.solve(Task(graph, search, paths, self._times(stamps), weights, psf))
         if margin:
@@ -359,7 +360,7 @@ class PathDetector(BatchDetector):
         present = np.isfinite(positions[:, 0])
         if self.presence is not None:
             [frames] = np.nonzero(present)
-            inside = self.model.upright(seen[frames])
+            inside = self.model.rectified(seen[frames])
             first, last = frames_seen_in(inside)
             present[:frames[first]] = False
             present[frames[last] + 1:] = False

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from track_before_detect.kernels.scores import matched_filter
 from track_before_detect.kernels import transition_dp
+from track_before_detect.kernels.scores import matched_filter
 from track_before_detect.models.measurement.psf import Psf
 
 # Share of the peak below which the rim of a stamp is left out: a target narrower than 0.3 pixels
@@ -100,12 +100,12 @@ def measure(frames: NDArray, psf: Psf, weights: NDArray | None = None) -> Measur
     elif not whole:
         weights = np.broadcast_to(weights, frames.shape) * valid
     weights = np.ascontiguousarray(weights, np.float32)
-    shown = np.ones((1, *frames.shape[1:]), np.float32)
+    visible = np.ones((1, *frames.shape[1:]), np.float32)
     if len(weights):
-        clean, shown = clean * weights, weights**2
+        clean, visible = clean * weights, weights**2
     parts = [clean.real, clean.imag] if np.iscomplexobj(frames) else [clean]
     psi = np.stack([_correlate(part, taps) for part in parts])
-    phi = np.broadcast_to(_correlate(shown, _squared(taps)), frames.shape)
+    phi = np.broadcast_to(_correlate(visible, _squared(taps)), frames.shape)
     stamp = np.einsum('ci,cj->ij', taps[:, 0], taps[:, 1])
     return Measurements(psi, np.ascontiguousarray(phi), weights, stamp.astype(np.float32))
 

@@ -9,20 +9,20 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.errors import DataError
-from track_before_detect.models.measurement.psf import psf_of
+from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.chain import prepare, PreparedBatch
 from track_before_detect.solvers.batch_detector import BatchDetector, FoundTrajectory
+from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
+from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
-from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
-from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
-from track_before_detect.tracking.previous_batch import carried_over
-from track_before_detect.tracking.timestamps import check_increasing
+from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.stitcher import Stitcher
+from track_before_detect.tracking.timestamps import check_increasing
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
 _LOG = logging.getLogger(__name__)
@@ -107,7 +107,7 @@ class TrackingPipeline:
         _check(batch)
         prepared = prepare(batch, self._options)
         self._check_scale(prepared.frames[len(batch) // 2])
-        self._detector.earlier = carried_over(
+        self._detector.earlier = map_previous_batch(
             self._before, prepared.frame_indices, prepared.maps)
         result = self._detector.detect_weighted(
             prepared.frames, prepared.stamps, prepared.weights, progress)

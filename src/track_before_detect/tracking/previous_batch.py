@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect import geometry
-from track_before_detect.solvers.batch_detector import Earlier
+from track_before_detect.solvers.batch_detector import EarlierPaths
 from track_before_detect.types import Trajectory
 
 
-def carried_over(before: list[Trajectory], frame_indices: NDArray,
-                 maps: NDArray) -> Earlier | None:
+def map_previous_batch(before: list[Trajectory], frame_indices: NDArray,
+                 maps: NDArray) -> EarlierPaths | None:
     """Return where the targets of the batch before are on the plane of this one.
 
     Parameters
@@ -41,4 +41,4 @@ def carried_over(before: list[Trajectory], frame_indices: NDArray,
         here = np.full((len(frame_indices), 2), np.nan)
         here[common] = geometry.apply(back, trajectory.positions[old])
         positions.append(here)
-    return Earlier(positions, known)
+    return EarlierPaths(positions, known)

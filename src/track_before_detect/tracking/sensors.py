@@ -11,17 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect import geometry
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.models.measurement.multi_sensor import PlaneView
-from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf, Psf, psf_of
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
+from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf, Psf
+from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.chain import prepare, PreparedBatch
 from track_before_detect.solvers.batch_detector import FoundTrajectory
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector
-from track_before_detect.tracking.previous_batch import carried_over
-from track_before_detect.tracking.timestamps import check_increasing
+from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.stitcher import Stitcher
+from track_before_detect.tracking.timestamps import check_increasing
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
 DETECTORS: dict[str, type[PathDetector]] = {'convex': ConvexDetector, 'greedy': GreedyDetector}
@@ -118,11 +119,11 @@ class SensorArray:
         padded[:frame.shape[0], :frame.shape[1]] = frame
         return padded
 
-    def view(self, indices: NDArray) -> PlaneView:
+    def view(self, indices: NDArray) -> MultiSensor:
         """Return how some of the frames see the plane, whose (0, 0) is ``origin``."""
         sensor = self.sensor[indices]
         maps = self._from_plane @ geometry.translations(self.origin[None])
-        return PlaneView(self.psfs, self.shapes, sensor, maps[sensor], self.plane_shape)
+        return MultiSensor(self.psfs, self.shapes, sensor, maps[sensor], self.plane_shape)
 
     def _plane(self):
         """Return the first corner x, y and the size (H, W) of what the sensors see together."""
@@ -182,7 +183,7 @@ class SensorPipeline:
             raise DataError(f'no pixel of the {len(batch)} frames is finite')
         detector = DETECTORS[self._options.detector](self._options, view)
         on_plane = np.tile(geometry.translations(self._array.origin[None]), (len(batch), 1, 1))
-        detector.earlier = carried_over(self._before, batch.frame_indices, on_plane)
+        detector.earlier = map_previous_batch(self._before, batch.frame_indices, on_plane)
         result = detector.detect_weighted(
             frames, batch.stamps, None if np.all(weights == 1) else weights, progress)
         if self._stitcher is None:

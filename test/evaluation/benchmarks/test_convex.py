@@ -7,13 +7,21 @@ import pytest
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.evaluation.benchmarks import (
     convex as bench,
+)
+from track_before_detect.evaluation.benchmarks import (
     dp as bench_dp,
+)
+from track_before_detect.evaluation.benchmarks import (
     fit as bench_fit,
+)
+from track_before_detect.evaluation.benchmarks import (
     registry as benches,
+)
+from track_before_detect.evaluation.benchmarks import (
     search as bench_search,
 )
-from track_before_detect.evaluation.engine.machine import describe_machine
 from track_before_detect.evaluation.benchmarks.numpy_merit import numpy_merit_functions
+from track_before_detect.evaluation.engine.machine import describe_machine
 from track_before_detect.solvers.ring.merit_functions import merit_functions
 
 TINY = {'height': 40, 'width': 44, 'n_frames': 6, 'snr': 8.0}

@@ -6,6 +6,8 @@ import pytest
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.benchmarks import (
     parallel as bench_parallel,
+)
+from track_before_detect.evaluation.benchmarks import (
     velocity_filter as bench_velocity,
 )
 from track_before_detect.evaluation.studies.parallel import scenes as parallel_scenes

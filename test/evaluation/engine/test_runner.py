@@ -99,8 +99,8 @@ def test_results_of_other_code_do_not_count(tmp_path, monkeypatch):
 def test_sources_are_those_that_a_module_comes_to_import():
     names = {name.removeprefix('track_before_detect.') for name in kept_results._sources_of(
         'track_before_detect.evaluation.studies.ring.runs')}
-    assert {'evaluation.ring_runs', 'evaluation.paper_metrics', 'solvers.linking',
-            'kernels.second_order', 'errors'} <= names
+    assert {'evaluation.studies.ring.runs', 'evaluation.metrics.paper_metrics',
+            'solvers.ring.linking', 'kernels.ring.second_order', 'errors'} <= names
     assert not any(name.startswith(('ros', 'cli', 'solvers.convex')) for name in names)
 
 

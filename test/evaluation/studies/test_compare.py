@@ -1,14 +1,16 @@
 import numpy as np
 import pytest
 
+from track_before_detect.evaluation.engine.report import write_suite_result
+from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.studies.compare import (
     runs as compare_runs,
+)
+from track_before_detect.evaluation.studies.compare import (
     suite as compare_suite,
 )
 from track_before_detect.evaluation.studies.compare.details import reasons, Standing
 from track_before_detect.evaluation.studies.compare.runs import SCENES
-from track_before_detect.evaluation.engine.report import write_suite_result
-from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.options import DETECTORS
 
 

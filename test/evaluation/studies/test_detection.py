@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.evaluation.studies.detection.suite import run_detection
 from track_before_detect.evaluation.engine.report import write_suite_result
 from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.studies.detection.suite import run_detection
 from track_before_detect.evaluation.studies.registry import suite_named, SUITES
 from track_before_detect.simulation.scenarios import simulate
 

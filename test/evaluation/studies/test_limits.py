@@ -2,12 +2,14 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation.engine.runner import Runner, Workers
 from track_before_detect.evaluation.studies.limits import (
     runs as limit_runs,
+)
+from track_before_detect.evaluation.studies.limits import (
     suites as limit_suites,
 )
 from track_before_detect.evaluation.studies.limits.line_filter import LineFilter
-from track_before_detect.evaluation.engine.runner import Runner, Workers
 from track_before_detect.simulation.sensor import add_target, gaussian_stamp_image
 
 

@@ -1,12 +1,14 @@
 import numpy as np
 import pytest
 
-from track_before_detect.evaluation.studies.parallel import (
-    runs as parallel_runs,
-    suite as parallel_suite,
-)
 from track_before_detect.evaluation.engine.report import write_suite_result
 from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.studies.parallel import (
+    runs as parallel_runs,
+)
+from track_before_detect.evaluation.studies.parallel import (
+    suite as parallel_suite,
+)
 from track_before_detect.solvers.cancellation.target_cancellation import Search, Track
 
 

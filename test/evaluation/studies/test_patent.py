@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation.engine.report import write_suite_result
+from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.studies.patent import suite as patent_suite
 from track_before_detect.evaluation.studies.patent.scenes import (
     CONTINUATION,
@@ -18,8 +20,6 @@ from track_before_detect.evaluation.studies.patent.scenes import (
     PARALLEL_PX,
 )
 from track_before_detect.evaluation.studies.patent.suite import METHODS, run_patent
-from track_before_detect.evaluation.engine.report import write_suite_result
-from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.studies.registry import SUITES
 from track_before_detect.models.measurement.psf import GaussianPsf
 

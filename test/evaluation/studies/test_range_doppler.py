@@ -5,8 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from track_before_detect.evaluation.studies.range_doppler import suite
 from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.studies.range_doppler import suite
 
 
 def quiet(label, done):

@@ -1,14 +1,15 @@
 import numpy as np
 import pytest
 
-from track_before_detect.evaluation.studies.ring import runs as ring_runs, suites as ring_suites
 from track_before_detect.evaluation.engine.report import write_suite_result
+from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.studies.ring import runs as ring_runs
+from track_before_detect.evaluation.studies.ring import suites as ring_suites
 from track_before_detect.evaluation.studies.ring.scenes import (
     point_frames,
     ring_multi,
     ring_single,
 )
-from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.solvers.ring.merit_functions import METHODS
 
 

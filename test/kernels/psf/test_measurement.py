@@ -5,10 +5,10 @@ import pytest
 
 import naive
 from track_before_detect import geometry
-from track_before_detect.kernels.scores import mapped_scores as mapped_filter
-from track_before_detect.kernels.psf import measurement as kernel
 from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE, SIGNED
-from track_before_detect.models.measurement.multi_sensor import PlaneView
+from track_before_detect.kernels.psf import measurement as kernel
+from track_before_detect.kernels.scores import mapped_scores as mapped_filter
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 
 SHAPES = ((13, 16), (11, 12))
@@ -18,7 +18,7 @@ MAPS = np.array([
     [[1.0, 0.4, -3.0], [-0.3, 0.8, 2.5], [2e-3, -1e-3, 1]],
 ])
 SENSOR = np.array([0, 1, 1, 0])
-VIEW = PlaneView(PSFS, SHAPES, SENSOR, MAPS[SENSOR], (12, 15))
+VIEW = MultiSensor(PSFS, SHAPES, SENSOR, MAPS[SENSOR], (12, 15))
 POSITIONS = np.array([[5.3, 6.1], [6.0, 5.2], [7.4, 4.4], [1.0, 2.5]])
 
 
@@ -45,7 +45,7 @@ def pictures(positions, weights):
 
 def looked(positions, frames, weights):
     out, norms = np.empty((len(positions), 3)), np.empty(len(positions))
-    kernel.look(VIEW.sight(), positions, frames, weights, SIGNED, out, norms)
+    kernel.evaluate(VIEW.compiled(), positions, frames, weights, SIGNED, out, norms)
     return out
 
 
@@ -54,7 +54,7 @@ def test_a_path_is_drawn_at_its_mapped_positions(kind):
     weights = weights_of(kind)
     size = 2 * max(psf.half_width for psf in PSFS) + 1
     stamps, origins = np.empty((4, size, size)), np.empty((4, 2), np.int64)
-    kernel.render_path(VIEW.sight(), POSITIONS, 13, 16, weights, stamps, origins, np.empty(4))
+    kernel.render_path(VIEW.compiled(), POSITIONS, 13, 16, weights, stamps, origins, np.empty(4))
     expected = pictures(POSITIONS, weights)
     for t in range(4):
         picture = np.zeros((13 + 2 * size, 16 + 2 * size))
@@ -75,13 +75,13 @@ def test_slopes_are_those_on_the_plane():
     # in the middle of frames, where the norm does not change
     shift = geometry.translations(np.array([[20.0, 20.0]]))
     psfs = (GaussianPsf(1.0), GaussianPsf(1.5))
-    view = PlaneView(psfs, ((50, 50), (50, 50)), SENSOR, (shift @ MAPS)[SENSOR], (12, 15))
+    view = MultiSensor(psfs, ((50, 50), (50, 50)), SENSOR, (shift @ MAPS)[SENSOR], (12, 15))
     frames = np.random.default_rng(2).normal(size=(4, 50, 50)).astype(np.float32)
 
     def seen(positions):
         out = np.empty((4, 3))
-        kernel.look(view.sight(), positions, frames, np.zeros((0, 0, 0), np.float32), SIGNED, out,
-                    np.empty(4))
+        kernel.evaluate(view.compiled(), positions, frames, np.zeros((0, 0, 0), np.float32),
+                        SIGNED, out, np.empty(4))
         return out
 
     for axis in range(2):
@@ -91,12 +91,12 @@ def test_slopes_are_those_on_the_plane():
 
 
 def test_what_lies_behind_the_horizon_of_a_map_is_not_seen():
-    view = PlaneView(PSFS[:1], SHAPES[:1], np.zeros(1, int),
+    view = MultiSensor(PSFS[:1], SHAPES[:1], np.zeros(1, int),
                      np.array([[[1.0, 0, 0], [0, 1, 0], [-0.2, 0, 1]]]), (12, 15))
     out, norms = np.empty((1, 3)), np.empty(1)
     frames = np.ones((1, *SHAPES[0]), np.float32)
-    kernel.look(view.sight(), np.array([[9.0, 3]]), frames, np.ones((1, *SHAPES[0]), np.float32),
-                SIGNED, out, norms)
+    kernel.evaluate(view.compiled(), np.array([[9.0, 3]]), frames,
+                    np.ones((1, *SHAPES[0]), np.float32), SIGNED, out, norms)
     assert not out.any() and not norms.any()
 
 
@@ -106,7 +106,7 @@ def test_scores_are_squared_statistics_at_every_position(kind, model):
     weights = weights_of(kind)
     frames = np.random.default_rng(3).normal(size=weights.shape).astype(np.float32)
     scores = np.full((4, 23, 29), np.nan, np.float32)
-    sight = VIEW.sight()
+    compiled = VIEW.compiled()
     for sensor, shape in enumerate(SHAPES):
         which = np.flatnonzero(SENSOR == sensor)
         cut = (which, slice(shape[0]), slice(shape[1]))
@@ -114,7 +114,7 @@ def test_scores_are_squared_statistics_at_every_position(kind, model):
         squares = np.ascontiguousarray(np.moveaxis(weights[cut]**2, 0, -1))
         if kind == 'whole':
             squares = np.empty((0, 0, len(which)), np.float32)
-        mapped_filter.scores_of_frames(scores, which, pixels, squares, sight.optics[sensor],
+        mapped_filter.scores_of_frames(scores, which, pixels, squares, compiled.optics[sensor],
                                        MAPS[sensor], 0.5, model, 0, 23)
     for row, column in [(0, 0), (5, 28), (12, 13), (22, 7), (9, 20)]:
         place = np.tile([0.5 * column, 0.5 * row], (4, 1))

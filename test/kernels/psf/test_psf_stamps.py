@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import naive
-from track_before_detect.kernels.psf import psf_stamps as kernel
 from track_before_detect.kernels.amplitude_codes import COMPLEX, SIGNED
+from track_before_detect.kernels.psf import psf_stamps as kernel
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 
 SHAPE = (11, 14)

@@ -8,12 +8,12 @@ import pytest
 import naive
 from track_before_detect.kernels.search import viterbi as path_search
 from track_before_detect.models.motion.state_graph import build_state_graph
-from track_before_detect.solvers.search.viterbi_table import PathTable
+from track_before_detect.solvers.search.viterbi_table import ViterbiTable
 
 
 def best_of(graph, scores):
     """Return the largest weight of a path by start of its last segment."""
-    table = PathTable(graph, scores.shape[1:])
+    table = ViterbiTable(graph, scores.shape[1:])
     table.fill(scores)
     return table.best
 
@@ -105,7 +105,7 @@ def test_rows_that_are_not_asked_for_are_not_written(max_speed):
     graph = build_state_graph(np.arange(3.0), step_px=1.0, max_speed=max_speed,
                               max_acceleration=3.0, turn_cost=0.8)
     graph = dataclasses.replace(graph, reach=1)
-    table = PathTable(graph, (9, 40))
+    table = ViterbiTable(graph, (9, 40))
     table.fill(np.random.default_rng(7).exponential(size=(3, 9, 40)).astype(np.float32))
     layout, value = table._layout, np.full_like(table._tables[1], 5.0)
     marks = np.full((9, layout.n_v), np.uint64(3))
@@ -133,7 +133,7 @@ def test_traced_path_has_the_weight_it_was_found_for(acceleration, n_frames):
     graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=1.6,
                               max_acceleration=acceleration, turn_cost=0.3)
     scores = np.random.default_rng(9).exponential(size=(n_frames, 7, 33)).astype(np.float32)
-    table = PathTable(graph, (7, 33))
+    table = ViterbiTable(graph, (7, 33))
     table.fill(scores)
     starts = np.array([(0, 0), (3, 17), (6, 32)])
     for (y, x), positions, cost in zip(starts, *table.trace(starts), strict=True):
@@ -146,7 +146,7 @@ def test_traced_path_has_the_weight_it_was_found_for(acceleration, n_frames):
 def test_peaks_are_the_largest_that_are_left_once_their_surroundings_are_out(limit):
     graph = build_state_graph(np.arange(2.0), step_px=1.0, max_speed=0.0, max_acceleration=0.0,
                               turn_cost=0.3)
-    table = PathTable(graph, (23, 31))
+    table = ViterbiTable(graph, (23, 31))
     # Whole numbers, so that many are equal.
     table.fill(np.random.default_rng(6).integers(0, 9, (2, 23, 31)).astype(np.float32))
     left, expected = table.best.copy(), []

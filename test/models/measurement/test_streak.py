@@ -11,14 +11,14 @@ from track_before_detect.kernels.psf.measurement import render_path
 from track_before_detect.kernels.scores.streak_scores import scores_of_streak
 from track_before_detect.models.amplitudes import AmplitudeModel, COMPLEX, NON_NEGATIVE, SIGNED
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
-from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
+from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_streak
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.search.viterbi_table import PathTable
 from track_before_detect.solvers.search.streak_scores import StreakScores
+from track_before_detect.solvers.search.viterbi_table import ViterbiTable
 
 T, SHAPE = 6, (32, 64)
 STAMPS = np.arange(float(T))
@@ -41,7 +41,7 @@ def rendered(psf, positions, shape, weights):
     size = 2 * psf.half_width + 1
     stamps = np.empty((len(positions), size, size))
     origins, norms = np.empty((len(positions), 2), np.int64), np.empty(len(positions))
-    render_path(psf.sight(), positions, *shape, weights, stamps, origins, norms)
+    render_path(psf.compiled(), positions, *shape, weights, stamps, origins, norms)
     frames = np.zeros((len(positions), *shape))
     for frame, stamp, (x, y) in zip(frames, stamps, origins, strict=True):
         for i, k in np.ndindex(stamp.shape):
@@ -110,7 +110,7 @@ def test_best_path_with_scores_for_each_velocity_is_that_of_all(acceleration):
     streaks, kind = streaks_of(graph, StreakPsf(GaussianPsf(0.7), 1.0, 2.0, (0.0, 1, 2, 3)))
     assert 1 < len(streaks) < graph.n_velocities
     generator = np.random.default_rng(3)
-    table = PathTable(graph, (5, 6), kind=kind)
+    table = ViterbiTable(graph, (5, 6), kind=kind)
     for _ in range(2):
         scores = generator.exponential(size=(len(streaks) * 4, 5, 6)).astype(np.float32)
         best = -np.inf

@@ -12,8 +12,8 @@ from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.calibration import threshold as module
-from track_before_detect.solvers.search.path_search import PathSearch
 from track_before_detect.solvers.calibration.threshold import NoiseStudy, threshold_for
+from track_before_detect.solvers.search.path_search import PathSearch
 
 PSF = GaussianPsf(2.0)
 MODEL = AmplitudeModel(NON_NEGATIVE)

@@ -12,11 +12,12 @@ from track_before_detect.models.motion.transition_sets import directional_sets
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import gaussian_stamp_image
-from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
+from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.cancellation import target_cancellation
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
-from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
 
 DETECTORS = [pytest.param(MtDpDetector, id='mt_dp'), pytest.param(PcDpDetector, id='pc_dp')]
 NARROW = GaussianPsf(0.3)
@@ -41,7 +42,7 @@ def test_bright_targets_of_the_paper_are_all_found_in_their_cells(n_directions, 
 
 
 def test_threads_change_nothing(monkeypatch):
-    monkeypatch.setattr('track_before_detect.solvers.cancellation.target_cancellation.LEAST_FOR_THREADS', 0)
+    monkeypatch.setattr(target_cancellation, 'LEAST_FOR_THREADS', 0)
     scene = scenes.six_targets(9.0, np.random.default_rng(2))
     made = search(scene.frames)
     directions = directional_sets([1] * 6, 4)

@@ -10,9 +10,9 @@ from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, NON_
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.solvers.convex.extended_target import together
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.convex.working_set import PathSet
+from track_before_detect.solvers.convex.extended_target import together
+from track_before_detect.solvers.convex.working_set import WorkingSet
 
 T = 20
 TIMES = np.arange(float(T))
@@ -132,26 +132,26 @@ def test_parts_together_explain_most(code):
     brightness = np.full(T, 3.0) if code == CONSTANT else rng.uniform(1, 5, T)
     data = (parts @ [1.0, 0.5])[:, None] * brightness + 0.3 * rng.standard_normal((12, T))
     overlaps = np.repeat(gram[:, :, None], T, axis=2)
-    mixture, seen, course = together(parts.T @ data, overlaps, model)
+    mixture, seen, envelope = together(parts.T @ data, overlaps, model)
     best = 0.0
     for angle in np.linspace(0, 2 * np.pi, 2000):
         stamp = parts @ [np.cos(angle), np.sin(angle)]
-        best = max(best, model.statistic(stamp @ data / np.linalg.norm(stamp), course))
-    assert model.statistic(seen, course) == pytest.approx(best, rel=1e-4)
+        best = max(best, model.statistic(stamp @ data / np.linalg.norm(stamp), envelope))
+    assert model.statistic(seen, envelope) == pytest.approx(best, rel=1e-4)
     np.testing.assert_allclose(np.einsum('it,jt,ijt->t', mixture, mixture, overlaps), 1.0)
 
 
 def test_frames_without_some_paths_are_lent_and_given_back():
     frames = scene([(LINE, 9.0, 1.0)], 10)
-    paths = PathSet(frames, np.zeros((0, 0, 0)), GaussianPsf(1.0), 8.0,
+    paths = WorkingSet(frames, np.zeros((0, 0, 0)), GaussianPsf(1.0), 8.0,
                     AmplitudeModel(NON_NEGATIVE))
     for shift, amplitude in ((0.0, 8.0), (2.0, 3.0), (4.0, 1.0)):
         paths.add(LINE + shift, 0.0)
         paths.assign(np.array([len(paths) - 1]), np.full((1, T), amplitude))
     before = paths.residual.copy()
-    left = paths.seen_left(1)
+    left = paths.residual_statistic(1)
     with paths.without(0, 2) as lent:
-        np.testing.assert_allclose(paths.seen_left(1), paths.matched[1] - 3.0, atol=1e-4)
+        np.testing.assert_allclose(paths.residual_statistic(1), paths.matched[1] - 3.0, atol=1e-4)
         assert lent is paths.residual
     np.testing.assert_allclose(paths.residual, before, atol=1e-5)
     np.testing.assert_allclose(left, paths.seen(1) - 3.0, atol=1e-4)

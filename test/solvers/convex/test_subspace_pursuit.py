@@ -11,15 +11,15 @@ from track_before_detect.models.amplitudes import (
 )
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
-from track_before_detect.solvers.convex.detector import subspace_pursuit
-from track_before_detect.solvers.search.path_search import PathSearch
-from track_before_detect.solvers.convex.working_set import PathSet
-from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.convex import subspace_pursuit
 from track_before_detect.solvers.convex.subspace_pursuit import (
     duality_gap,
     pursue,
     PursuitSettings,
 )
+from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.search.path_search import PathSearch
 
 MODEL = AmplitudeModel(NON_NEGATIVE)
 NO_MASK = np.zeros((0, 0, 0), bool)
@@ -42,7 +42,7 @@ SCENES = {
 
 def scene(name, seed):
     frames = np.random.default_rng(seed).standard_normal((T, H, W)).astype(np.float32)
-    paths = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
+    paths = WorkingSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
     for positions, amplitude in SCENES[name]:
         paths.add(positions, 0.0)
         paths.assign(np.array([len(paths) - 1]), np.full((1, T), amplitude))
@@ -56,7 +56,7 @@ def solve(frames, continuation, threshold=6.5, mask=None, model=MODEL, **setting
     search = PathSearch(graph, psf, (H, W), model)
     search.set_weights(mask)
     valid = NO_MASK if mask is None else mask
-    paths = PathSet(frames, valid, psf, threshold, model)
+    paths = WorkingSet(frames, valid, psf, threshold, model)
     result = pursue(search, Refiner(graph, psf, STAMPS, valid, model), paths, 3.0,
                     PursuitSettings(continuation, **settings))
     return result, search
@@ -107,7 +107,7 @@ def test_a_convex_solution_of_close_pairs_is_certified_to_seven_digits(seed):
 
 def test_duality_gap_of_nothing_is_zero_when_nothing_passes():
     frames = scene('empty', 1)
-    paths = PathSet(frames, NO_MASK, GaussianPsf(1.0), 50.0, MODEL)
+    paths = WorkingSet(frames, NO_MASK, GaussianPsf(1.0), 50.0, MODEL)
     assert duality_gap(paths, 40.0) == pytest.approx(0, abs=1e-6 * paths.energy)
 
 
@@ -124,7 +124,7 @@ def test_each_target_of_a_scene_is_one_trajectory(name):
 @pytest.mark.parametrize('speed', [(0.0, 0.0), (0.37, -0.21), (0.81, 0.4)])
 def test_noise_free_target_is_recovered_exactly(speed):
     positions = straight(9.3, 12.7, *speed)
-    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
+    maker = WorkingSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
     maker.add(positions, 0.0)
     maker.assign(np.array([0]), np.linspace(8, 12, T)[None])
     result, _ = solve(-maker.residual, (1.0, 0.5, 0.0))
@@ -144,7 +144,7 @@ def test_nothing_is_found_at_the_largest_statistic_and_something_just_below():
 @pytest.mark.parametrize('seed', range(4))
 def test_every_path_of_a_crowd_passes_its_weight(seed):
     generator = np.random.default_rng(seed)
-    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
+    maker = WorkingSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
     for _ in range(25):
         maker.add(straight(*generator.uniform(6, 17, 2), *generator.uniform(-0.5, 0.5, 2)), 0.0)
         maker.assign(np.array([len(maker) - 1]), generator.uniform(2, 9, (1, T)))
@@ -233,7 +233,7 @@ def test_noise_far_above_one_ends_when_the_fits_have_taken_enough(continuation, 
 def test_path_that_passes_only_off_the_grid_is_found():
     # A quarter of a pixel off on both axes, and slower than the grid by half a step.
     truth = straight(8.25, 10.25, 0.55, 0.0)
-    paths = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
+    paths = WorkingSet(np.zeros((T, H, W), np.float32), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
     paths.add(truth, 0.0)
     paths.assign(np.array([0]), np.full((1, T), 6.6 / T**0.5))
     result, search = solve(-paths.residual, (1.0, 0.5, 0.0))

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE, SIGNED
-from track_before_detect.models.presence import presence_for
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
-from track_before_detect.solvers.batch_detector import Earlier
-from track_before_detect.solvers.search.path_search import PathSearch
-from track_before_detect.solvers.convex.working_set import PathSet
-from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.models.presence import presence_for
+from track_before_detect.solvers.batch_detector import EarlierPaths
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.convex.warm_start import starting_paths
+from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.search.path_search import PathSearch
 
 MODEL = AmplitudeModel(NON_NEGATIVE)
 NO_MASK = np.zeros((0, 0, 0), bool)
@@ -46,7 +46,7 @@ def graph_of(times=TIMES, acceleration=0.06, model=MODEL):
 def stream(name, seed):
     rng = np.random.default_rng(seed)
     frames = rng.standard_normal((T + HOP, H, W)).astype(np.float32)
-    maker = PathSet(np.zeros_like(frames), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
+    maker = WorkingSet(np.zeros_like(frames), NO_MASK, GaussianPsf(1.0), 1.0, MODEL)
     elapsed = np.arange(T + HOP)[:, None]
     for x, y, v_x, v_y, amplitude in TARGETS[name]:
         maker.add((x, y) + elapsed * (v_x, v_y), 0.0)
@@ -58,15 +58,15 @@ def solve(frames, continuation, start=(), *, on_grid=False, threshold=6.5, model
           **settings):
     psf, graph = GaussianPsf(1.0), graph_of(model=model)
     refiner = OnTheGrid() if on_grid else Refiner(graph, psf, TIMES, NO_MASK, model)
-    paths = PathSet(np.ascontiguousarray(frames), NO_MASK, psf, threshold, model)
+    paths = WorkingSet(np.ascontiguousarray(frames), NO_MASK, psf, threshold, model)
     return pursue(PathSearch(graph, psf, (H, W), model), refiner, paths, 3.0,
                   PursuitSettings(continuation, **settings), start)
 
 
 def earlier_of(positions):
     """Return what the batch before tells that found these paths."""
-    return Earlier([np.concatenate([one[HOP:], np.full((HOP, 2), np.nan)]) for one in positions],
-                   KNOWN)
+    return EarlierPaths(
+        [np.concatenate([one[HOP:], np.full((HOP, 2), np.nan)]) for one in positions], KNOWN)
 
 
 def cold_and_warm(name, seed, continuation, **settings):
@@ -108,7 +108,7 @@ def test_paths_to_begin_with_are_paths_of_the_graph_near_the_motion(acceleration
         truth = (17, 13) + np.outer(times - 6, speed * np.array([np.cos(heading),
                                                                   np.sin(heading)]))
         told = np.where(KNOWN[:, None], truth + rng.normal(0, 0.03, truth.shape), np.nan)
-        [found] = starting_paths(graph, times, GRID, Earlier([told], KNOWN))
+        [found] = starting_paths(graph, times, GRID, EarlierPaths([told], KNOWN))
         assert follows(graph, found.positions) == pytest.approx(found.cost)
         assert np.hypot(*(found.positions - truth).T).mean() < 0.75
 
@@ -117,8 +117,8 @@ def test_paths_that_leave_the_frames_or_were_not_seen_are_not_begun_with():
     leaving = np.stack([W - 5 + 0.8 * TIMES, np.full(T, 8.0)], axis=1)
     unseen = np.full((T, 2), np.nan)
     told = np.where(KNOWN[:, None], leaving, np.nan)
-    assert starting_paths(graph_of(), TIMES, GRID, Earlier([told, unseen], KNOWN)) == []
-    assert starting_paths(graph_of(), TIMES, GRID, Earlier([], KNOWN)) == []
+    assert starting_paths(graph_of(), TIMES, GRID, EarlierPaths([told, unseen], KNOWN)) == []
+    assert starting_paths(graph_of(), TIMES, GRID, EarlierPaths([], KNOWN)) == []
 
 
 @pytest.mark.parametrize(('seen', 'there'), [
@@ -128,7 +128,7 @@ def test_a_target_that_left_is_not_there_again_where_targets_may_leave(seen, the
     truth = np.stack([8 + 0.5 * TIMES, 9 + 0.25 * TIMES], axis=1)
     told = np.full((T, 2), np.nan)
     told[seen] = truth[seen]
-    [found] = starting_paths(graph_of(), TIMES, GRID, Earlier([told], KNOWN), presence)
+    [found] = starting_paths(graph_of(), TIMES, GRID, EarlierPaths([told], KNOWN), presence)
     present = np.flatnonzero(np.isfinite(found.positions[:, 0]))
     np.testing.assert_array_equal(present, np.arange(T)[there])
     assert found.cost >= presence.cost(int(present[0]), int(present[-1]), T)
@@ -173,7 +173,7 @@ def test_paths_of_no_target_are_not_kept(code):
     largest = PathSearch(graph_of(model=model), GaussianPsf(1.0), (H, W), model).best_value(frames)
     rng = np.random.default_rng(8)
     told = [rng.uniform((4, 4), (W - 5, H - 5)) + np.zeros((T, 2)) for _ in range(40)]
-    start = starting_paths(graph_of(model=model), TIMES, GRID, Earlier(told, KNOWN))
+    start = starting_paths(graph_of(model=model), TIMES, GRID, EarlierPaths(told, KNOWN))
     assert len(start) > 30
     # Moving off the grid raises a path by no more than this.
     threshold = 1.0001 * model.from_value(largest + model.refinement_gain)

@@ -8,13 +8,13 @@ import naive
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
+from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
+from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.given_paths.fit_paths import fit_paths
+from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search import viterbi_table as path_table
 from track_before_detect.solvers.search.constant_search import ConstantSearch
-from track_before_detect.solvers.given_paths.fit_paths import fit_paths
 from track_before_detect.solvers.search.path_search import PathSearch
-from track_before_detect.solvers.convex.working_set import PathSet
-from track_before_detect.solvers.refine.refinement import Refiner
-from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
 
 T, SHAPE = 5, (6, 8)
 STAMPS = np.arange(float(T))
@@ -77,7 +77,7 @@ class Scene:
 
     def path_set(self):
         weights = NO_WEIGHTS if self.weights is None else self.weights
-        return PathSet(self.frames.copy(), weights, self.psf, THRESHOLD, self.model)
+        return WorkingSet(self.frames.copy(), weights, self.psf, THRESHOLD, self.model)
 
     def refiner(self):
         weights = NO_WEIGHTS if self.weights is None else self.weights

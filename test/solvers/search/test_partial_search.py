@@ -15,17 +15,17 @@ from track_before_detect.models.amplitudes import (
     SIGNED,
     SIGNED_CONSTANT,
 )
-from track_before_detect.models.presence import frames_seen_in, Presence, presence_for
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
+from track_before_detect.models.presence import frames_seen_in, Presence, presence_for
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
+from track_before_detect.solvers.calibration.threshold import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
 from track_before_detect.solvers.search.partial_search import PartialSearch
 from track_before_detect.solvers.search.position_scores import PositionScores
-from track_before_detect.solvers.calibration.threshold import noise_frames
 
 PRESENCE = Presence(0.9, 1.5, 2.5)
 OF_CONSTANT = Presence(0.0, 0.2, 0.4)

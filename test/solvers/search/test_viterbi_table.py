@@ -15,12 +15,12 @@ from track_before_detect.models.amplitudes import (
 )
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
+from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
+from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search import viterbi_table as path_table
 from track_before_detect.solvers.search.path_search import PathSearch
-from track_before_detect.solvers.convex.working_set import PathSet
-from track_before_detect.solvers.search.viterbi_table import PathTable, table_bytes
-from track_before_detect.solvers.refine.refinement import Refiner
-from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
+from track_before_detect.solvers.search.viterbi_table import table_bytes, ViterbiTable
 
 NO_MASK = np.zeros((0, 0, 0), bool)
 GRAPHS = {
@@ -56,9 +56,9 @@ def test_changed_scores_give_the_table_of_a_fill(monkeypatch, name, sign, width,
     generator = np.random.default_rng([len(name), len(sign), width])
     graph = graph_named(name, np.array([0.0, 1, 2, 3, 5, 6, 7, 8, 9]))
     scores = generator.exponential(size=(9, 29, width)).astype(np.float32)
-    kept = PathTable(graph, scores.shape[1:], n_threads)
+    kept = ViterbiTable(graph, scores.shape[1:], n_threads)
     for _ in range(6):
-        fresh = PathTable(graph, scores.shape[1:])
+        fresh = ViterbiTable(graph, scores.shape[1:])
         fresh.fill(scores)
         level = float(np.quantile(fresh.best, generator.choice([0.0, 0.8, 0.99, 1.0])))
         assert kept.update(scores, level) == fresh.best.max()
@@ -75,7 +75,7 @@ def test_updated_table_has_the_value_of_the_best_of_every_path(monkeypatch):
     assert graph.n_segments > 1 and graph.n_velocities**graph.n_segments < 20000
     generator = np.random.default_rng(2)
     scores = generator.exponential(size=(4, 5, 6)).astype(np.float32)
-    table = PathTable(graph, (5, 6))
+    table = ViterbiTable(graph, (5, 6))
     for sign in ('down', 'both', 'down', 'up'):
         scores = changed(generator, scores, sign)
         expected, _ = naive.best_path_value(graph, scores)
@@ -88,7 +88,7 @@ def test_only_states_that_may_pass_are_computed(monkeypatch):
     scores = generator.exponential(size=(9, 99, 199)).astype(np.float32)
     bright = scores.copy()
     bright[:, 50:55, 90:95] += 30
-    table = PathTable(graph, (99, 199))
+    table = ViterbiTable(graph, (99, 199))
     table.update(bright, 40.0)
     monkeypatch.setattr(table, '_fill', None)
     counted = []
@@ -111,7 +111,7 @@ def crowd(seed, n_targets, mask, model):
     """Return frames with targets, a mask and an empty path set."""
     generator = np.random.default_rng(seed)
     psf = GaussianPsf(1.0)
-    maker = PathSet(np.zeros((T, H, W), np.float32), NO_MASK, psf, 1.0, model)
+    maker = WorkingSet(np.zeros((T, H, W), np.float32), NO_MASK, psf, 1.0, model)
     for _ in range(n_targets):
         start, velocity = generator.uniform(0, 25, 2), generator.uniform(-0.8, 0.8, 2)
         positions = np.clip(start + velocity * STAMPS[:, None], 0, (W - 1, H - 1))
@@ -161,7 +161,7 @@ def pursued(frames, valid, model, graph, threshold):
     search = PathSearch(graph, psf, (H, W), model)
     search.set_weights(valid)
     valid = NO_MASK if valid is None else valid
-    paths = PathSet(frames, valid, psf, threshold, model)
+    paths = WorkingSet(frames, valid, psf, threshold, model)
     return pursue(search, Refiner(graph, psf, STAMPS, valid, model), paths, 3.0,
                   PursuitSettings((1.0, 0.5, 0.0)))
 
@@ -182,7 +182,7 @@ def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, ma
         table.fill(scores)
         return float(table.best.max())
 
-    monkeypatch.setattr(PathTable, 'update', from_the_start)
+    monkeypatch.setattr(ViterbiTable, 'update', from_the_start)
     full = pursued(frames, valid, model, graph, threshold)
     assert len(full.paths) > 0 and len(full.history) > 3
     np.testing.assert_equal(*([dataclasses.astuple(step) for step in result.history]
@@ -195,7 +195,7 @@ def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, ma
 @pytest.mark.parametrize('name', GRAPHS)
 def test_the_memory_of_a_table_is_told_before_it_is_taken(name):
     graph = graph_named(name, np.arange(12.0))
-    table = PathTable(graph, (61, 83))
+    table = ViterbiTable(graph, (61, 83))
     table.fill(np.zeros((12, 61, 83), np.float32))
     taken = sum(array.nbytes for array in [table.best, table._scores, *table._tables])
     # Less margins of a few rows.

@@ -16,7 +16,6 @@ from typing import Any
 
 from track_before_detect.errors import DataError
 from track_before_detect.evaluation.benchmarks import search as bench_search
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.evaluation.benchmarks.timing import (
     aligned,
     checked_repeats,
@@ -24,6 +23,7 @@ from track_before_detect.evaluation.benchmarks.timing import (
     summary,
     timed,
 )
+from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.evaluation.benchmarks.numpy_merit import numpy_merit_functions
 from track_before_detect.evaluation.benchmarks.timing import (
     aligned,
@@ -20,6 +19,7 @@ from track_before_detect.evaluation.benchmarks.timing import (
     summary,
     timed,
 )
+from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.models.motion.velocity_candidates import straight_lines, whole_velocities
 from track_before_detect.solvers.ring.merit_functions import merit_functions
 from track_before_detect.types import Progress

@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.evaluation.benchmarks.timing import (
     aligned,
     checked_repeats,
@@ -21,6 +20,7 @@ from track_before_detect.evaluation.benchmarks.timing import (
     summary,
     timed,
 )
+from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.solvers.given_paths.fit_paths import fit_paths
 from track_before_detect.types import Progress

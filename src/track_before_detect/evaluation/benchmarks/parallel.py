@@ -14,10 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from track_before_detect.evaluation.studies.parallel import scenes as parallel_scenes
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
-from track_before_detect.evaluation.metrics.paper_metrics import track_errors
-from track_before_detect.evaluation.studies.parallel.scenes import ParallelScene
 from track_before_detect.evaluation.benchmarks.timing import (
     aligned,
     checked_repeats,
@@ -25,11 +21,15 @@ from track_before_detect.evaluation.benchmarks.timing import (
     summary,
     timed,
 )
+from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
+from track_before_detect.evaluation.metrics.paper_metrics import track_errors
+from track_before_detect.evaluation.studies.parallel import scenes as parallel_scenes
+from track_before_detect.evaluation.studies.parallel.scenes import ParallelScene
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.transition_sets import directional_sets, TransitionSets
-from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
-from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
 from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
+from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
 from track_before_detect.types import Progress
 
 SEED = 1

@@ -16,7 +16,7 @@ import numpy as np
 
 from track_before_detect.evaluation.benchmarks.timing import summary, timed
 from track_before_detect.models.motion.state_graph import build_state_graph, StateGraph
-from track_before_detect.solvers.search.viterbi_table import PathTable
+from track_before_detect.solvers.search.viterbi_table import ViterbiTable
 
 # Positions, and frames of a search frame by frame; fewer than a batch has, for memory.
 GRID_SHAPE = (1024, 1280)
@@ -87,7 +87,7 @@ def measure_search(name: str, n_frames: int, repeats: int,
                                   turn_cost=3.0)
     scores = np.random.default_rng(SEED).exponential(size=(n_frames, *grid_shape))
     scores = scores.astype(np.float32)
-    table = PathTable(graph, grid_shape)
+    table = ViterbiTable(graph, grid_shape)
     table.fill(scores)
     search, layer = timed([lambda: table.fill(scores), copying(graph, grid_shape)], repeats)
     return {'name': name, 'n_frames': n_frames, 'reach': graph.reach,

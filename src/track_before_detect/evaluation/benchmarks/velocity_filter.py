@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.evaluation.benchmarks.timing import (
     aligned,
     checked_repeats,
@@ -16,6 +15,7 @@ from track_before_detect.evaluation.benchmarks.timing import (
     summary,
     timed,
 )
+from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.velocity_grid import velocity_grid, VelocityGrid
 from track_before_detect.solvers.pixel_statistics import measure

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from track_before_detect.errors import ParameterError, suggestion
+from track_before_detect.evaluation.engine.report import SuiteResult
+from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.studies.compare.suite import run_compare
 from track_before_detect.evaluation.studies.detection.suite import run_detection
 from track_before_detect.evaluation.studies.limits.suites import (
@@ -16,9 +18,7 @@ from track_before_detect.evaluation.studies.limits.suites import (
 from track_before_detect.evaluation.studies.parallel.suite import run_parallel
 from track_before_detect.evaluation.studies.patent.suite import run_patent
 from track_before_detect.evaluation.studies.range_doppler.suite import run_range_doppler
-from track_before_detect.evaluation.engine.report import SuiteResult
 from track_before_detect.evaluation.studies.ring.suites import run_ring_multi, run_ring_single
-from track_before_detect.evaluation.engine.runner import Runner
 
 
 @dataclass(frozen=True)

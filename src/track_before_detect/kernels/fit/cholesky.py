@@ -8,10 +8,10 @@ import math
 import numba
 import numpy as np
 
-_COMPILE = {'nogil': True, 'cache': True, 'error_model': 'numpy'}
+from track_before_detect.kernels.compile_flags import UNCHECKED
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def factorise(matrix, n):
     """Replace the lower triangle of n rows by the Cholesky factor; False when there is none."""
     for i in range(n):
@@ -28,7 +28,7 @@ def factorise(matrix, n):
     return True
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def forward(factor, vector, n):
     """Replace a vector b of n entries by L^-1 b."""
     for i in range(n):
@@ -38,7 +38,7 @@ def forward(factor, vector, n):
         vector[i] = rest / factor[i, i]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def backward(factor, vector, n):
     """Replace a vector b of n entries by L^-T b."""
     for i in range(n - 1, -1, -1):
@@ -47,7 +47,7 @@ def backward(factor, vector, n):
             vector[j] -= factor[i, j] * vector[i]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def find_blocks(matrix, order, ends):
     """Order the rows of a symmetric matrix so that it is block-diagonal.
 

@@ -17,9 +17,9 @@ import math
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import UNCHECKED
 from track_before_detect.kernels.fit.group_lasso import dual_value
 
-_COMPILE = {'nogil': True, 'cache': True, 'error_model': 'numpy'}
 MOST_LEVELS = 1000
 # Sweeps between two looks at the duality gap.
 SWEEPS = 4
@@ -27,24 +27,24 @@ SWEEPS = 4
 SETTLED = 0.01
 
 
-@numba.njit(**_COMPILE)
-def give_one_modulus(row, course, weight):
+@numba.njit(**UNCHECKED)
+def give_one_modulus(row, envelope, weight):
     """Minimise 1/2 |x - h|^2 + weight |x| over |x_k| = alpha c_k in place of h; return alpha.
 
     Each phase is that of h, and alpha is sum c |h| less the weight.
     """
     alpha = -weight
     for k in range(row.size):
-        alpha += course[k] * abs(row[k])
+        alpha += envelope[k] * abs(row[k])
     alpha = max(alpha, 0.0)
     for k in range(row.size):
         size = abs(row[k])
-        row[k] = alpha * course[k] * (row[k] / size if size > 0.0 else 1.0)
+        row[k] = alpha * envelope[k] * (row[k] / size if size > 0.0 else 1.0)
     return alpha
 
 
-@numba.njit(**_COMPILE)
-def clip_moduli(row, course, weight):
+@numba.njit(**UNCHECKED)
+def clip_moduli(row, envelope, weight):
     """Minimise 1/2 |x - h|^2 + weight max |x_k| / c_k in place of h; return the largest.
 
     The moduli are clipped at s c_k, the level s such that the sum of what is cut off, times c, is
@@ -57,22 +57,22 @@ def clip_moduli(row, course, weight):
         cut = -weight
         slope = 0.0
         for k in range(row.size):
-            over = abs(row[k]) - level * course[k]
+            over = abs(row[k]) - level * envelope[k]
             if over > 0.0:
-                cut += course[k] * over
-                slope += course[k]**2
+                cut += envelope[k] * over
+                slope += envelope[k]**2
         if not cut > 0.0 or slope == 0.0 or level + cut / slope == level:
             break
         level += cut / slope
     for k in range(row.size):
         size = abs(row[k])
-        if size > level * course[k]:
-            row[k] *= level * course[k] / size
+        if size > level * envelope[k]:
+            row[k] *= level * envelope[k] / size
     return level
 
 
-@numba.njit(**_COMPILE)
-def _sweep(amplitudes, norms, slack, gram, courses, weights, clipped, row):
+@numba.njit(**UNCHECKED)
+def _sweep(amplitudes, norms, slack, gram, envelopes, weights, clipped, row):
     """Minimise path by path, once over all; return by how much the objective fell."""
     n_paths, n_frames = amplitudes.shape
     fall = 0.0
@@ -82,9 +82,9 @@ def _sweep(amplitudes, norms, slack, gram, courses, weights, clipped, row):
             fall += 0.5 * abs(slack[p, k])**2
         fall += weights[p] * norms[p]
         if clipped:
-            norms[p] = clip_moduli(row, courses[p], weights[p])
+            norms[p] = clip_moduli(row, envelopes[p], weights[p])
         else:
-            norms[p] = give_one_modulus(row, courses[p], weights[p])
+            norms[p] = give_one_modulus(row, envelopes[p], weights[p])
         fall -= weights[p] * norms[p]
         for k in range(n_frames):
             step = row[k] - amplitudes[p, k]
@@ -96,7 +96,7 @@ def _sweep(amplitudes, norms, slack, gram, courses, weights, clipped, row):
     return fall
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def _set_slack(amplitudes, matched, gram, slack):
     n_paths, n_frames = amplitudes.shape
     for p in range(n_paths):
@@ -106,8 +106,8 @@ def _set_slack(amplitudes, matched, gram, slack):
                 slack[p, k] -= gram[p, q, k] * amplitudes[q, k]
 
 
-@numba.njit(**_COMPILE)
-def convex_gap(amplitudes, norms, matched, slack, courses, weights, energy):
+@numba.njit(**UNCHECKED)
+def convex_gap(amplitudes, norms, matched, slack, envelopes, weights, energy):
     """Return objective and duality gap of the convex problem, ``norms`` (n,) being max |x| / c."""
     shrinkage = 0.0
     cross = 0.0
@@ -119,7 +119,7 @@ def convex_gap(amplitudes, norms, matched, slack, courses, weights, energy):
         for k in range(amplitudes.shape[1]):
             cross += (np.conj(matched[p, k]) * amplitudes[p, k]).real
             explained += (np.conj(slack[p, k]) * amplitudes[p, k]).real
-            statistic += courses[p, k] * abs(slack[p, k])
+            statistic += envelopes[p, k] * abs(slack[p, k])
         largest = max(largest, statistic / weights[p])
     residual = 2.0 * energy - cross - explained
     objective = 0.5 * residual + shrinkage
@@ -127,8 +127,8 @@ def convex_gap(amplitudes, norms, matched, slack, courses, weights, energy):
                           0.0)
 
 
-@numba.njit(**_COMPILE)
-def descend(amplitudes, norms, matched, gram, courses, weights, clipped, energy, gap_wanted,
+@numba.njit(**UNCHECKED)
+def descend(amplitudes, norms, matched, gram, envelopes, weights, clipped, energy, gap_wanted,
             most_sweeps):
     """Minimise 1/2 x'Gx - h'x + sum of w_p times the norm of x_p in place, path by path.
 
@@ -147,16 +147,16 @@ def descend(amplitudes, norms, matched, gram, courses, weights, clipped, energy,
     for p in range(n_paths):
         norms[p] = 0.0
         for k in range(n_frames):
-            if courses[p, k] > 0.0:
-                norms[p] = max(norms[p], abs(amplitudes[p, k]) / courses[p, k])
+            if envelopes[p, k] > 0.0:
+                norms[p] = max(norms[p], abs(amplitudes[p, k]) / envelopes[p, k])
     _set_slack(amplitudes, matched, gram, slack)
     left = math.inf
     for number in range(most_sweeps):
-        fall = _sweep(amplitudes, norms, slack, gram, courses, weights, clipped, row)
+        fall = _sweep(amplitudes, norms, slack, gram, envelopes, weights, clipped, row)
         if not clipped:
             left = abs(fall) / SETTLED
         elif number % SWEEPS == 0:
-            _, left = convex_gap(amplitudes, norms, matched, slack, courses, weights, energy)
+            _, left = convex_gap(amplitudes, norms, matched, slack, envelopes, weights, energy)
         if left <= gap_wanted:
             break
     return left

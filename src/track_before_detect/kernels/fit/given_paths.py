@@ -19,16 +19,14 @@ import math
 import numba
 import numpy as np
 
-_COMPILE = {'nogil': True, 'cache': True}
-# Sums may be reordered, which lets them run on several lanes at once.
-_FAST = {'nogil': True, 'cache': True, 'fastmath': {'reassoc', 'contract'}}
+from track_before_detect.kernels.compile_flags import EXACT, REORDERED
 
 PLACES_PER_PX = 2.0**40
 # Share of the energy of a stamp below which it counts as none, as in the kernels of the stamps.
 LEAST_ENERGY = 1e-6
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def find_outside(paths, height, width):
     """Return p * T + k of the first position outside the frame (or NaN), -1 without one."""
     n_paths, n_frames, _ = paths.shape
@@ -41,7 +39,7 @@ def find_outside(paths, height, width):
     return -1
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def number_places(paths, bits):
     """Give each distinct position a number, with a hash table of 2**bits slots.
 
@@ -84,7 +82,7 @@ def number_places(paths, bits):
     return places, keys[:n_places].copy(), True
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def number_cells(places, n_places):
     """Give each distinct (place, frame) a number; return cells, cell_place, cell_frame."""
     n_paths, n_frames = places.shape
@@ -106,7 +104,7 @@ def number_cells(places, n_places):
     return cells, cell_place[:n_cells].copy(), cell_frame[:n_cells].copy()
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def first_pixels(cell_place, cell_frame, origins, height, width):
     """Return the flat index of the first pixel of the stamp of each cell, int64 (N,)."""
     starts = np.empty(cell_place.size, np.int64)
@@ -118,7 +116,7 @@ def first_pixels(cell_place, cell_frame, origins, height, width):
     return starts
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def _normalise(stamp):
     total = 0.0
     for value in stamp.flat:
@@ -129,7 +127,7 @@ def _normalise(stamp):
             stamp[i, k] *= factor
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def render_gaussians(keys, sigma, integrated, half, height, width):
     """Return stamps and origins of a Gaussian, cut at the border, then of unit norm.
 
@@ -154,7 +152,7 @@ def render_gaussians(keys, sigma, integrated, half, height, width):
     return stamps, origins
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def _profile(position, sigma, integrated, half, extent, profile):
     """Fill one axis of a Gaussian stamp and return its first pixel."""
     scale = -0.5 / (sigma * sigma)
@@ -173,7 +171,7 @@ def _profile(position, sigma, integrated, half, extent, profile):
     return origin
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def render_array(keys, psf, height, width):
     """Return stamps and origins of an array of unit norm, moved by bilinear interpolation."""
     n_places = keys.shape[0]
@@ -208,7 +206,7 @@ def render_array(keys, psf, height, width):
     return stamps, origins
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def mask_stamps(stamps, origins, cell_place, cell_frame, valid):
     """Return stamps and origins of each cell: cut to the valid pixels, then of unit norm."""
     n_cells = cell_place.size
@@ -226,7 +224,7 @@ def mask_stamps(stamps, origins, cell_place, cell_frame, valid):
     return cut, cut_origins
 
 
-@numba.njit(**_FAST)
+@numba.njit(**REORDERED)
 def _product(a, start_a, b, start_b, n):
     """Return the inner product of n entries of two flat arrays."""
     # Unsigned indices spare the test for negative ones.
@@ -238,7 +236,7 @@ def _product(a, start_a, b, start_b, n):
     return total
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def correlate_cells(chosen, stamps, starts, cell_place, residual, seen):
     """Fill ``seen`` for the chosen cells; ``starts`` is the flat first pixel of each cell."""
     n_parts, _, _, width = residual.shape
@@ -255,7 +253,7 @@ def correlate_cells(chosen, stamps, starts, cell_place, residual, seen):
             seen[d, c] = total
 
 
-@numba.njit(**_FAST)
+@numba.njit(**REORDERED)
 def price(chosen, cells, seen, non_negative, statistics):
     """Fill the statistic of the chosen paths and return the largest of all."""
     largest = 0.0
@@ -276,7 +274,7 @@ def price(chosen, cells, seen, non_negative, statistics):
     return largest
 
 
-@numba.njit(**_FAST)
+@numba.njit(**REORDERED)
 def price_weighted(chosen, cells, seen, weights, non_negative, statistics):
     """Do what ``price`` does with ``seen`` over the weight (P, T) of each path in each frame."""
     largest = 0.0
@@ -292,7 +290,7 @@ def price_weighted(chosen, cells, seen, weights, non_negative, statistics):
     return largest
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def cells_of(chosen, cells, n_cells):
     """Return the cells that the chosen paths use, in order."""
     used = np.zeros(n_cells, np.bool_)
@@ -302,7 +300,7 @@ def cells_of(chosen, cells, n_cells):
     return np.flatnonzero(used)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def subtract(members, amplitudes, cells, stamps, origins, cell_place, residual):
     """Take amplitudes times stamps of some paths off the residual."""
     size_y, size_x = stamps.shape[1:]
@@ -320,7 +318,7 @@ def subtract(members, amplitudes, cells, stamps, origins, cell_place, residual):
                         residual[d, k, y + i, x + j] -= amplitude * stamps[place, i, j]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def _overlap(place, other, profiles, size_y, size_x, origins):
     """Return the inner product of two stamps, given flat."""
     shift_x = origins[other, 0] - origins[place, 0]
@@ -336,7 +334,7 @@ def _overlap(place, other, profiles, size_y, size_x, origins):
     return total
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def relate(places, n_old, stamps, origins, gram):
     """Fill the rows and columns of ``gram`` that belong to members ``n_old`` and later.
 
@@ -352,7 +350,7 @@ def relate(places, n_old, stamps, origins, gram):
                 gram[b, a, k] = value
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def pick(places, most, alike, stamps, origins):
     """Return the rows of at most ``most`` of the paths that are not ``alike`` to one before.
 

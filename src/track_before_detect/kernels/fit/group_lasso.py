@@ -16,13 +16,10 @@ import math
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import REORDERED_UNCHECKED, UNCHECKED
 from track_before_detect.kernels.fit.cholesky import backward, find_blocks, forward
 from track_before_detect.kernels.fit.least_squares import solve_frame
 from track_before_detect.kernels.fit.shrinkage import shrunk_norm
-
-_COMPILE = {'nogil': True, 'cache': True, 'error_model': 'numpy'}
-# Sums may be reordered, which lets them run on several lanes at once.
-_FAST = {**_COMPILE, 'fastmath': {'reassoc', 'contract'}}
 
 # Shorter and shorter Newton steps that are tried.
 MOST_TRIALS = 6
@@ -30,7 +27,7 @@ MOST_TRIALS = 6
 PATIENCE = 10
 
 
-@numba.njit(**_FAST)
+@numba.njit(**REORDERED_UNCHECKED)
 def _norm(row):
     total = 0.0
     for value in row.flat:
@@ -38,7 +35,7 @@ def _norm(row):
     return math.sqrt(total)
 
 
-@numba.njit(**_FAST)
+@numba.njit(**REORDERED_UNCHECKED)
 def _change(slack, gram, path, step):
     """Bring the slack of all members up to date with a change of one of them."""
     n_paths, n_parts, n_frames = slack.shape
@@ -48,7 +45,7 @@ def _change(slack, gram, path, step):
                 slack[p, d, k] -= gram[path, p, k] * step[d, k]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def _sweep(amplitudes, slack, gram, weight, non_negative, step):
     """Minimise path by path, once over all members (Algorithm 3)."""
     n_paths, n_parts, n_frames = amplitudes.shape
@@ -90,7 +87,7 @@ def _sweep(amplitudes, slack, gram, weight, non_negative, step):
             _change(slack, gram, p, step)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def dual_scale(product, residual, largest, weight):
     """Return the scale of the residual that makes it the best feasible point of the dual."""
     scale = product / residual if residual > 0.0 else 0.0
@@ -99,7 +96,7 @@ def dual_scale(product, residual, largest, weight):
     return scale
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def dual_value(product, residual, largest, weight):
     """Return the largest dual value of a multiple of the residual that is feasible.
 
@@ -109,7 +106,7 @@ def dual_value(product, residual, largest, weight):
     return scale * product - 0.5 * scale * scale * residual
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def value_and_gap(amplitudes, matched, slack, weight, non_negative, energy):
     """Return objective and duality gap over the members, and their largest statistic."""
     n_paths = amplitudes.shape[0]
@@ -136,7 +133,7 @@ def value_and_gap(amplitudes, matched, slack, weight, non_negative, energy):
     return objective, max(objective - dual_value(product, residual, largest, weight), 0.0), largest
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def _copy(values, out):
     for p in range(values.shape[0]):
         for d in range(values.shape[1]):
@@ -144,14 +141,14 @@ def _copy(values, out):
                 out[p, d, k] = values[p, d, k]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def _slack(amplitudes, matched, gram, slack):
     _copy(matched, slack)
     for p in range(amplitudes.shape[0]):
         _change(slack, gram, p, amplitudes[p])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def _fit_block(norms, block, n, k, d, amplitudes, matched, gram, weight, non_negative, curvature):
     """Fit the paths of a block in one frame for given norms, and add its part of the curvature.
 
@@ -194,7 +191,7 @@ def _fit_block(norms, block, n, k, d, amplitudes, matched, gram, weight, non_neg
             curvature[p, q] += z[chosen[a]] / roots[chosen[a]] * reduced * c_q
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def _fit_given_norms(norms, amplitudes, matched, gram, weight, non_negative, curvature):
     """Minimise 1/2 x'Gx - h'x + weight/2 sum_p |x_p|^2 / s_p in place; x_p = 0 where s_p = 0.
 
@@ -226,7 +223,7 @@ def _fit_given_norms(norms, amplitudes, matched, gram, weight, non_negative, cur
             first = ends[number]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def _newton_step(norms, amplitudes, matched, gram, weight, non_negative):
     """Take a Newton step on the norms of the paths, which joins what neighbours share.
 
@@ -248,7 +245,7 @@ def _newton_step(norms, amplitudes, matched, gram, weight, non_negative):
                 np.empty(n_paths, np.int64))
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def _try_newton(amplitudes, slack, matched, gram, weight, non_negative, energy, objective):
     """Improve amplitudes and slack by a Newton step on the norms; return the gap or infinity."""
     n_paths = amplitudes.shape[0]
@@ -275,7 +272,7 @@ def _try_newton(amplitudes, slack, matched, gram, weight, non_negative, energy, 
     return math.inf
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def solve(amplitudes, matched, gram, slack, weight, non_negative, energy, gap_wanted, most_rounds):
     """Minimise over the members to a duality gap, in place; return (gap, rounds made).
 
@@ -308,7 +305,7 @@ def solve(amplitudes, matched, gram, slack, weight, non_negative, energy, gap_wa
     return gap, most_rounds + 1
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def descend(amplitudes, matched, gram, slack, weight, non_negative, energy, gap_wanted,
             most_rounds):
     """Do what ``solve`` does by sweeps alone (Algorithm 3 with Algorithms 1 and 2)."""

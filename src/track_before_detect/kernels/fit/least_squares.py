@@ -7,16 +7,16 @@ problem of its own, of as many unknowns as there are paths.
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import UNCHECKED
 from track_before_detect.kernels.fit.cholesky import backward, factorise, find_blocks, forward
 
-_COMPILE = {'nogil': True, 'cache': True, 'error_model': 'numpy'}
 # Added to the diagonal, relative to it, so that paths that are the same have a factor.
 _RIDGE = 1e-12
 # Slope, over the largest, below which a path that is left out would not lower the objective.
 _LEAST_SLOPE = 1e-10
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def _solve_chosen(chosen, n, matched, gram, factor, solution):
     """Fill the least-squares solution over the first n of the chosen paths."""
     ridge = _RIDGE
@@ -33,7 +33,7 @@ def _solve_chosen(chosen, n, matched, gram, factor, solution):
     backward(factor, solution, n)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def solve_frame(x, matched, gram, non_negative, factor, chosen):
     """Minimise 1/2 x'Gx - h'x in place from a feasible start (Lawson and Hanson's method).
 
@@ -98,7 +98,7 @@ def solve_frame(x, matched, gram, non_negative, factor, chosen):
     return -1 - n_chosen
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**UNCHECKED)
 def solve(amplitudes, matched, gram, non_negative):
     """Minimise over the members, in place; return whether every frame was solved."""
     n_paths, n_parts, n_frames = amplitudes.shape

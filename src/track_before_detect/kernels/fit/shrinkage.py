@@ -9,12 +9,13 @@ import math
 
 import numba
 
-_COMPILE = {'nogil': True, 'cache': True}
+from track_before_detect.kernels.compile_flags import EXACT
+
 # Newton steps on a concave function of one variable; a handful settle all digits.
 MOST_LINE_STEPS = 60
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def shrunk_norm(row, diagonal, weight):
     """Return the norm s of the minimiser of 1/2 x'Dx - h'x + weight |x| (Patent Eq. 10-11).
 

@@ -9,24 +9,23 @@ from track_before_detect.kernels.amplitude_codes import (
     NON_NEGATIVE,
     SIGNED_CONSTANT,
 )
+from track_before_detect.kernels.compile_flags import EXACT
 from track_before_detect.kernels.psf.measurement import (
     curvatures,
-    look,
+    evaluate,
     sharpest,
     smear_curvatures,
 )
 
-_COMPILE = {'nogil': True, 'cache': True}
 
-
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def _clip(positions, limit_x, limit_y):
     for t in range(positions.shape[0]):
         positions[t, 0] = min(max(positions[t, 0], 0.0), limit_x)
         positions[t, 1] = min(max(positions[t, 1], 0.0), limit_y)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def best_amplitudes(seen, norms, model, out):
     """Fit the amplitude of each frame to the statistic, the first column of ``seen`` (T, 3).
 
@@ -53,15 +52,15 @@ def best_amplitudes(seen, norms, model, out):
     return total
 
 
-@numba.njit(**_COMPILE)
-def climb(positions, basis, sight, limits, frames, weights, model, most_steps):
+@numba.njit(**EXACT)
+def maximise_statistic(positions, basis, compiled, limits, frames, weights, model, most_steps):
     """Maximise the squared statistic, borders and weights considered, by Gauss-Newton steps.
 
     positions : float64 (T, 2), moved in place
     basis : float64 (T, 2, B), C-contiguous; the displacement (x, y) of each frame is basis @ c
-    sight : Sight, see the module ``sight``
+    compiled : CompiledMeasurement, see the module ``measurement``
     limits : float64 (2,), largest x and y
-    frames, weights : as in the module ``stamps``
+    frames, weights : as in the module ``psf_stamps``
     model : amplitude model, see the module ``amplitude_codes``
 
     Returns the squared statistic reached.
@@ -78,13 +77,13 @@ def climb(positions, basis, sight, limits, frames, weights, model, most_steps):
     normal = np.empty((n_basis, n_basis))
     right = np.empty(n_basis)
     _clip(positions, limits[0], limits[1])
-    curvatures(sight, positions, curvature)
-    smeared = sight.maps.shape[0] == 0 and sight.optics[0].exposure > 0.0
+    curvatures(compiled, positions, curvature)
+    smeared = compiled.maps.shape[0] == 0 and compiled.optics[0].exposure > 0.0
     cross = np.zeros(n_frames)
     if smeared:
-        smear_curvatures(sight.optics[0], positions, curvature, cross)
+        smear_curvatures(compiled.optics[0], positions, curvature, cross)
     sigma = sharpest(curvature)
-    look(sight, positions, frames, weights, model, seen, norms)
+    evaluate(compiled, positions, frames, weights, model, seen, norms)
     value = best_amplitudes(seen, norms, model, amplitudes)
     damping = 0.0
     for _ in range(most_steps):
@@ -114,7 +113,7 @@ def climb(positions, basis, sight, limits, frames, weights, model, most_steps):
             step *= sigma / largest
         trial[:] = positions + step
         _clip(trial, limits[0], limits[1])
-        look(sight, trial, frames, weights, model, trial_seen, norms)
+        evaluate(compiled, trial, frames, weights, model, trial_seen, norms)
         trial_value = best_amplitudes(trial_seen, norms, model, trial_amplitudes)
         if trial_value > value:
             gained = trial_value - value

@@ -11,19 +11,19 @@ import math
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import EXACT
 from track_before_detect.kernels.psf.psf_profiles import smear_of
 from track_before_detect.kernels.psf.psf_stamps import render, statistic_and_slope
 
-_COMPILE = {'nogil': True, 'cache': True}
 _FAR_AWAY = -1e6
 
-Sight = namedtuple('Sight', ('optics', 'sensor', 'maps'))
+CompiledMeasurement = namedtuple('CompiledMeasurement', ('optics', 'sensor', 'maps'))
 """How the frames see positions.
 
 Attributes
 ----------
 optics : tuple of Optics
-    One for each sensor, see the module ``profiles``.
+    One for each sensor, see the module ``psf_profiles``.
 sensor : int64 (T,)
     Which of them took each frame.
 maps : float64 (T, 3, 3)
@@ -31,8 +31,8 @@ maps : float64 (T, 3, 3)
 """
 
 
-@numba.njit(**_COMPILE)
-def seen_at(matrix, x, y, slope):
+@numba.njit(**EXACT)
+def map_position(matrix, x, y, slope):
     """Return where a map takes (x, y); ``slope`` (2, 2) gets its derivative."""
     depth = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
     if not depth > 0.0:
@@ -46,55 +46,57 @@ def seen_at(matrix, x, y, slope):
     return u, v
 
 
-@numba.njit(**_COMPILE)
-def render_path(sight, positions, height, width, weights, stamps, origins, norms):
+@numba.njit(**EXACT)
+def render_path(compiled, positions, height, width, weights, stamps, origins, norms):
     """Fill ``stamps``, ``origins`` and ``norms`` as ``stamps.render`` does.
 
     A sensor whose stamps are smaller than others' fills their first rows and columns.
     """
-    if sight.maps.shape[0] == 0:
-        render(sight.optics[0], positions, height, width, weights, stamps, origins, norms)
+    if compiled.maps.shape[0] == 0:
+        render(compiled.optics[0], positions, height, width, weights, stamps, origins, norms)
         return
     at = np.empty((1, 2))
     slope = np.empty((2, 2))
     for t in range(positions.shape[0]):
-        at[0, 0], at[0, 1] = seen_at(sight.maps[t], positions[t, 0], positions[t, 1], slope)
+        at[0, 0], at[0, 1] = map_position(compiled.maps[t], positions[t, 0], positions[t, 1],
+                                          slope)
         own = weights[t:t + 1] if weights.shape[0] > 1 else weights
-        render(sight.optics[sight.sensor[t]], at, height, width, own, stamps[t:t + 1],
+        render(compiled.optics[compiled.sensor[t]], at, height, width, own, stamps[t:t + 1],
                origins[t:t + 1], norms[t:t + 1])
 
 
-@numba.njit(**_COMPILE)
-def look(sight, positions, frames, weights, model, out, norms):
+@numba.njit(**EXACT)
+def evaluate(compiled, positions, frames, weights, model, out, norms):
     """Write statistic and its slope on the plane as ``stamps.statistic_and_slope`` does."""
-    if sight.maps.shape[0] == 0:
-        statistic_and_slope(sight.optics[0], positions, frames, weights, model, out, norms)
+    if compiled.maps.shape[0] == 0:
+        statistic_and_slope(compiled.optics[0], positions, frames, weights, model, out, norms)
         return
     at = np.empty((1, 2))
     slope = np.empty((2, 2))
     for t in range(positions.shape[0]):
-        at[0, 0], at[0, 1] = seen_at(sight.maps[t], positions[t, 0], positions[t, 1], slope)
+        at[0, 0], at[0, 1] = map_position(compiled.maps[t], positions[t, 0], positions[t, 1],
+                                          slope)
         own = weights[t:t + 1] if weights.shape[0] > 1 else weights
-        statistic_and_slope(sight.optics[sight.sensor[t]], at, frames[t:t + 1], own, model,
+        statistic_and_slope(compiled.optics[compiled.sensor[t]], at, frames[t:t + 1], own, model,
                             out[t:t + 1], norms[t:t + 1])
         in_x, in_y = out[t, 1], out[t, 2]
         out[t, 1] = in_x * slope[0, 0] + in_y * slope[1, 0]
         out[t, 2] = in_x * slope[0, 1] + in_y * slope[1, 1]
 
 
-@numba.njit(**_COMPILE)
-def curvatures(sight, positions, out):
+@numba.njit(**EXACT)
+def curvatures(compiled, positions, out):
     """Write to out[t] the curvature (x, y) on the plane, see ``Optics``."""
     slope = np.eye(2)
     for t in range(positions.shape[0]):
-        if sight.maps.shape[0] > 0:
-            seen_at(sight.maps[t], positions[t, 0], positions[t, 1], slope)
-        own = sight.optics[sight.sensor[t] if sight.maps.shape[0] > 0 else 0].curvature
+        if compiled.maps.shape[0] > 0:
+            map_position(compiled.maps[t], positions[t, 0], positions[t, 1], slope)
+        own = compiled.optics[compiled.sensor[t] if compiled.maps.shape[0] > 0 else 0].curvature
         for axis in range(2):
             out[t, axis] = own[0] * slope[0, axis]**2 + own[1] * slope[1, axis]**2
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def smear_curvatures(optics, positions, curvature, cross):
     """Lower curvatures (T, 2) along the smear, write how x and y are joined to ``cross`` (T,).
 
@@ -122,7 +124,7 @@ def smear_curvatures(optics, positions, curvature, cross):
         cross[t] = -lost * x * y
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def sharpest(curvature):
     """Return the standard deviation in pixels of the sharpest Gaussian of ``curvatures``."""
     most = 1e-300
@@ -131,17 +133,17 @@ def sharpest(curvature):
     return 1.0 / math.sqrt(most)
 
 
-def whole_norm(sight, shape):
+def whole_norm(compiled, shape):
     """Return the norm of a stamp amid frames (H, W): less than one in those of one row or column.
 
     Such a frame is all that its sensor could ever see of a target.
     """
     if min(shape) > 1:
         return 1.0
-    size = 2 * max(optics.half for optics in sight.optics) + 1
+    size = 2 * max(optics.half for optics in compiled.optics) + 1
     height, width = [1 if side == 1 else 2 * size + 1 for side in shape]
     norms = np.empty(1)
-    render_path(sight, np.array([[width // 2, height // 2]], np.float64), height, width,
+    render_path(compiled, np.array([[width // 2, height // 2]], np.float64), height, width,
                 np.zeros((0, 0, 0), np.float32), np.empty((1, size, size)),
                 np.empty((1, 2), np.int64), norms)
     return float(norms[0])

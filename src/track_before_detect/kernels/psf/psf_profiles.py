@@ -14,7 +14,7 @@ import math
 
 import numba
 
-_COMPILE = {'nogil': True, 'cache': True}
+from track_before_detect.kernels.compile_flags import EXACT
 
 Optics = namedtuple('Optics', ('coefficients', 'per_px', 'half', 'nodes', 'shares', 'curvature',
                                'exposure', 'longest_smear', 'times'))
@@ -42,7 +42,7 @@ times : float64 (T,)
 """
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def smear_of(optics, positions, t):
     """Return the way (x, y) that a target moves during the exposure of frame t."""
     if optics.exposure == 0.0:
@@ -61,7 +61,7 @@ def smear_of(optics, positions, t):
     return x, y
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def fill_profiles(optics, position, smear, axis, origin, factors, values, slopes):
     """Write the profiles of all components and nodes along one axis, and their slopes.
 
@@ -101,7 +101,7 @@ def fill_profiles(optics, position, smear, axis, origin, factors, values, slopes
                     slopes[i, k] = 0.0
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def inner_product(rows, columns, other_rows, other_columns, first_row, last_row, first_column,
                   last_column):
     """Return the inner product of two sums of products, over a part of the stamp.
@@ -121,7 +121,7 @@ def inner_product(rows, columns, other_rows, other_columns, first_row, last_row,
     return total
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def product_norm(rows, columns, first_row, last_row, first_column, last_column):
     """Return the squared norm of sum_c rows[c, i] columns[c, k] over a part of the stamp."""
     return inner_product(rows, columns, rows, columns, first_row, last_row, first_column,

@@ -2,7 +2,7 @@
 
 Layout of every array
 ---------------------
-optics : Optics, see the module ``profiles``
+optics : Optics, see the module ``psf_profiles``
 positions : float64 (T, 2), column x and row y in pixels
 stamps : float64 (T, K, K), K = 2 half + 1, rows are y
 origins : int64 (T, 2), pixel (x, y) of stamps[t, 0, 0]; may lie outside the frame. Halfway between
@@ -19,6 +19,7 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.amplitude_codes import COMPLEX
+from track_before_detect.kernels.compile_flags import EXACT
 from track_before_detect.kernels.psf.psf_profiles import (
     fill_profiles,
     inner_product,
@@ -26,13 +27,12 @@ from track_before_detect.kernels.psf.psf_profiles import (
     smear_of,
 )
 
-_COMPILE = {'nogil': True, 'cache': True}
 # A target that shows less than this share of its energy, weighed against that of a whole one at a
 # weight of one, counts as hidden: its position would be guessed from the outermost pixels.
 LEAST_SHARE = 1e-3
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def _place(optics, positions, t, ones, rows, row_slopes, columns, column_slopes):
     """Fill the profiles of frame t; return the first pixel of the stamp."""
     smear_x, smear_y = smear_of(optics, positions, t)
@@ -43,7 +43,7 @@ def _place(optics, positions, t, ones, rows, row_slopes, columns, column_slopes)
     return x_0, y_0
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def render(optics, positions, height, width, weights, stamps, origins, norms):
     """Fill ``stamps``, ``origins`` and ``norms``: cut at the border, weighed, then of unit norm.
 
@@ -80,7 +80,7 @@ def render(optics, positions, height, width, weights, stamps, origins, norms):
                 stamps[t, i, k] *= factor
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def correlate(stamps, origins, frames, out):
     """Write the inner product of each stamp with its frame to out[t]."""
     n_frames, size, _ = stamps.shape
@@ -93,7 +93,7 @@ def correlate(stamps, origins, frames, out):
         out[t] = total
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def accumulate(frames, stamps, origins, amplitudes):
     """Add ``amplitudes[t]`` times each stamp to its frame."""
     n_frames, size, _ = stamps.shape
@@ -107,7 +107,7 @@ def accumulate(frames, stamps, origins, amplitudes):
                     amplitudes[t] * stamps[t, i, k])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def overlap(stamps_a, origins_a, stamps_b, origins_b, out):
     """Write the inner product of two stamps, frame by frame, to out[t]."""
     n_frames, size, _ = stamps_a.shape
@@ -121,7 +121,7 @@ def overlap(stamps_a, origins_a, stamps_b, origins_b, out):
         out[t] = total
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     """Write statistic and its slope in x and y to out[t] = (h, dh/dx, dh/dy).
 

@@ -16,41 +16,42 @@ vectorised; they take flat arrays with unsigned offsets, which spares a slice fo
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import FUSED
+
 ABSENT = np.float32(-1e30)
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
 _U = np.uint64
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _largest_of_three(out, o, source, a, b, c, n):
     for x in range(_U(n)):
         largest = source[a + x] if source[a + x] > source[b + x] else source[b + x]
         out[o + x] = largest if largest > source[c + x] else source[c + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _raise_to_two(out, o, source, a, b, n):
     for x in range(_U(n)):
         largest = source[a + x] if source[a + x] > source[b + x] else source[b + x]
         out[o + x] = out[o + x] if out[o + x] > largest else largest
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _larger(out, o, source, a, later, n):
     for x in range(_U(n)):
         here, there = source[a + x], source[a + later + x]
         out[o + x] = here if here > there else there
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _add_larger(out, o, frames, a, source, b, later, n):
     for x in range(_U(n)):
         here, there = source[b + x], source[b + later + x]
         out[o + x] = frames[a + x] + (here if here > there else there)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def accumulate(merit, frames, start, n_steps, step, v_max, first_row, last_row):
     """Write merit[t] = frames[t] + max over |v| <= v_max of merit[t - step, p - v].
 

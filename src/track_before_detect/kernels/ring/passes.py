@@ -11,17 +11,18 @@ backward : float32 (K, H, W)
 import numba
 import numpy as np
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
+from track_before_detect.kernels.compile_flags import FUSED
+
 _U = np.uint64
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _mean(out, o, other, a, n):
     for x in range(_U(n)):
         out[o + x] = np.float32(0.5) * (out[o + x] + other[a + x])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def average(merit, backward, start, n_steps, step, first_row, last_row):
     """Average rows ``first_row`` to ``last_row`` of the frames start, start + step, ..."""
     _, n_y, n_x = merit.shape

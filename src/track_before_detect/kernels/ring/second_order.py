@@ -25,27 +25,28 @@ take flat arrays with unsigned offsets, which spares a slice for each row.
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import FUSED
+
 ABSENT = np.float32(-1e30)
 # How the merit of the frame before and what is added to it from two frames before go on: their
 # mean, their sum, or the merit of the frame before alone.
 MEAN, SUM, FIRST = 0, 1, 2
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
 _U = np.uint64
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _matching(value, state, needed):
     return value if state & needed == needed else ABSENT
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _one(out, first, states, a, s, needed, n):
     for x in range(_U(n)):
         out[x] = _matching(first[a + x], states[s + x], needed)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _best_of_two(out, first, states, a, s, apart, needed, n):
     for x in range(_U(n)):
         here = _matching(first[a + x], states[s + x], needed)
@@ -53,7 +54,7 @@ def _best_of_two(out, first, states, a, s, apart, needed, n):
         out[x] = here if here > there else there
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _raise_to_best_of_two(out, first, states, a, s, apart, needed, n):
     for x in range(_U(n)):
         here = _matching(first[a + x], states[s + x], needed)
@@ -62,7 +63,7 @@ def _raise_to_best_of_two(out, first, states, a, s, apart, needed, n):
         out[x] = out[x] if out[x] > best else best
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _take_better(best, best_states, o, before, second, states, b, s, needed, chosen, n):
     for x in range(_U(n)):
         value = before[x] + _matching(second[b + x], states[s + x], needed)
@@ -71,7 +72,7 @@ def _take_better(best, best_states, o, before, second, states, b, s, needed, cho
         best_states[o + x] = chosen if value > old else old_state
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _keep_first(best, kept, o, before, second, states, b, s, needed, n):
     for x in range(_U(n)):
         here, old = before[x], kept[o + x]
@@ -79,19 +80,19 @@ def _keep_first(best, kept, o, before, second, states, b, s, needed, n):
         kept[o + x] = here if value > best[o + x] else old
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _add_scaled(out, o, frames, a, best, factor, n):
     for x in range(_U(n)):
         out[o + x] = frames[a + x] + factor * best[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _copy(out, o, source, n):
     for x in range(_U(n)):
         out[o + x] = source[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def accumulate(merit, states, first, second, frames, start, n_steps, step, velocities, needed,
                chosen, matching, going_on, first_row, last_row):
     """Write the merit and the state of the frames start, start + step, ...

@@ -10,16 +10,15 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE
+from track_before_detect.kernels.compile_flags import REORDERED_FINITE
+from track_before_detect.kernels.psf.measurement import map_position
 from track_before_detect.kernels.psf.psf_profiles import fill_profiles
-from track_before_detect.kernels.psf.measurement import seen_at
 from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
 
-_COMPILE = {'nogil': True, 'cache': True,
-            'fastmath': {'nnan', 'ninf', 'nsz', 'contract', 'reassoc'}}
 _U = np.uint64
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**REORDERED_FINITE)
 def _fill_stamp(stamp, rows, columns):
     """Fill ``stamp`` (K, K) from its profiles (C, K); return its squared norm."""
     total = 0.0
@@ -33,13 +32,13 @@ def _fill_stamp(stamp, rows, columns):
     return total
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**REORDERED_FINITE)
 def _add_pixel(out, flat, start, factor):
     for n in range(out.size):
         out[n] += factor * flat[start + _U(n)]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**REORDERED_FINITE)
 def _product(out, stamp, flat, width, y_0, x_0, first_y, last_y, first_x, last_x):
     """Write the sum of the stamp's part inside times the pixels of each frame, (N,)."""
     out[:] = 0
@@ -49,7 +48,7 @@ def _product(out, stamp, flat, width, y_0, x_0, first_y, last_y, first_x, last_x
             _add_pixel(out, flat, _U(start + k * out.size), stamp[i, k])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**REORDERED_FINITE)
 def scores_of_frames(out, which, frames, squared_weights, optics, matrix, step_px, model,
                      first_row, last_row):
     """Write what a position adds to the value of a path: max(h, 0)^2 or h^2.
@@ -78,7 +77,7 @@ def scores_of_frames(out, which, frames, squared_weights, optics, matrix, step_p
         for column in range(out.shape[2]):
             for n in range(n_frames):
                 out[which[n], row, column] = 0
-            x, y = seen_at(matrix, column * step_px, row * step_px, slope)
+            x, y = map_position(matrix, column * step_px, row * step_px, slope)
             x_0 = int(math.floor(x + 0.5)) - optics.half
             y_0 = int(math.floor(y + 0.5)) - optics.half
             first_y, last_y = max(0, -y_0), min(n_taps, height - y_0)

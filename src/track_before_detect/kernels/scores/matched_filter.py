@@ -23,36 +23,35 @@ from track_before_detect.kernels.amplitude_codes import (
     NON_NEGATIVE,
     SIGNED_CONSTANT,
 )
+from track_before_detect.kernels.compile_flags import FUSED
 from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
 
-
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _add_scaled(out, source, factor):
     for x in range(out.size):
         out[x] += factor * source[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _add_weighted(out, source, weights, factor):
     for x in range(out.size):
         out[x] += factor * weights[x] * source[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _spread(out, source, first, stride, factor):
     for x in range(source.size):
         out[first + stride * x] = factor * source[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _times(out, factor):
     for x in range(out.size):
         out[x] *= factor[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _filter_row(out, y, frame, weights, taps, level, scale_y, scale_x, padded, part):
     """Write row ``y`` of the correlation; ``padded`` and ``part`` are room to work in."""
     n_components, _, n_sub, n_taps = taps.shape
@@ -80,7 +79,7 @@ def _filter_row(out, y, frame, weights, taps, level, scale_y, scale_x, padded, p
     _times(out, scale_x)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def filter_frame(out, frame, weights, taps, level, scale_y, scale_x, first_row, last_row):
     """Write rows ``first_row`` to ``last_row`` of the correlation of ``frame`` with the PSF."""
     width = frame.shape[1]
@@ -90,52 +89,52 @@ def filter_frame(out, frame, weights, taps, level, scale_y, scale_x, first_row, 
         _filter_row(out[y], y, frame, weights, taps, level, scale_y, scale_x, padded, part)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _square_positive(row):
     for x in range(row.size):
         value = row[x] if row[x] > 0 else np.float32(0)
         row[x] = value * value
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _square(row):
     for x in range(row.size):
         row[x] *= row[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _add_square(row, other):
     for x in range(row.size):
         row[x] = row[x] * row[x] + other[x] * other[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _root(row):
     for x in range(row.size):
         row[x] = np.sqrt(row[x])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _scale(row, factor):
     for x in range(row.size):
         row[x] *= factor
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _over_norm(row, share):
     for x in range(row.size):
         left = share[x] > np.float32(LEAST_SHARE)
         row[x] = row[x] / np.sqrt(share[x]) if left else np.float32(0)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def _less_share(row, share, factor, tilt):
     for x in range(row.size):
         left = share[x] > np.float32(LEAST_SHARE)
         row[x] = factor * row[x] - tilt * share[x] if left else np.float32(0)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def scores_of_frame(out, real, imaginary, weights, shares, uneven, taps, level, scale_y, scale_x,
                     model, factor, tilt, rows, first_row, last_row):
     """Write what a position adds to the value of a path, in those ``rows`` (Y,) that are true.

@@ -4,20 +4,19 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE
+from track_before_detect.kernels.compile_flags import FUSED_UNCHECKED
 from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
 
-_COMPILE = {'nogil': True, 'cache': True, 'error_model': 'numpy',
-            'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
 _U = np.uint64
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _add(out, o, picture, a, n):
     for x in range(_U(n)):
         out[o + x] += picture[a + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _sum_along(out, picture, height, y, offsets):
     """Write the sum of a flat picture at the places along a streak around (y, x) to out[x]."""
     width = out.size
@@ -30,7 +29,7 @@ def _sum_along(out, picture, height, y, offsets):
             _add(out, _U(first), picture, _U(row * width + first + shift), width - abs(shift))
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _square(out, other, is_complex, positive_only):
     for x in range(_U(out.size)):
         value = out[x]
@@ -42,7 +41,7 @@ def _square(out, other, is_complex, positive_only):
             out[x] += other[x] * other[x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def _divide(out, o, squared, factors, share, n_places):
     for x in range(_U(squared.size)):
         left = share[x] / n_places
@@ -50,7 +49,7 @@ def _divide(out, o, squared, factors, share, n_places):
             np.float32(0))
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED_UNCHECKED)
 def scores_of_streak(out, real, imaginary, shares, offsets, factors, model, first_row, last_row):
     """Write what a position adds to the value of a path that leaves a streak.
 

@@ -33,6 +33,7 @@ A segment need not lie on the grid as a whole: only where the target is present,
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import FINITE
 from track_before_detect.kernels.search.viterbi import (
     ABSENT,
     best_of_three,
@@ -41,11 +42,10 @@ from track_before_detect.kernels.search.viterbi import (
     raise_row,
 )
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz'}}
 _U = np.uint64
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _shifted_row(out, o, value, row, y, n_y, n_x, move_x, move_y, start, stop):
     """Write value[y + move_y, v, x + move_x] to out[o + x], x from ``start`` to ``stop``.
 
@@ -61,7 +61,7 @@ def _shifted_row(out, o, value, row, y, n_y, n_x, move_x, move_y, start, stop):
     fill_row(out, o + _U(last), stop - last, ABSENT)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _raise_from_sides(out, o, source, start, stride, here, n_rows, k, n, cost):
     """Raise out[o + x] to the rows k before and k after row ``here`` where there are such."""
     if 0 <= here - k < n_rows:
@@ -70,7 +70,7 @@ def _raise_from_sides(out, o, source, start, stride, here, n_rows, k, n, cost):
         raise_row(out, o, source, _U(start + (here + k) * stride), n, np.float32(k) * cost)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _best_turn_x(turns, o, flat, row, i, n_v, n_x, start, n, reach, cost):
     """Write to turns[o + x] the best within ``reach`` steps of v_x, less ``cost`` a step.
 
@@ -93,7 +93,7 @@ def _best_turn_x(turns, o, flat, row, i, n_v, n_x, start, n, reach, cost):
         _raise_from_sides(turns, o, flat, here, n_x, i, n_v, k, n, cost)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _best_turn_y(out, o, turns, column, stride, r, n_rows, n, reach, cost):
     """Write to out[o + x] the best within ``reach`` rows of ``turns``, less ``cost`` a row."""
     nearest = 1
@@ -107,7 +107,7 @@ def _best_turn_y(out, o, turns, column, stride, r, n_rows, n, reach, cost):
         _raise_from_sides(out, o, turns, column, stride, r, n_rows, k, n, cost)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _row_width(row_first, row_x):
     """Return the number of columns of the grid of velocities."""
     width = 0
@@ -116,7 +116,7 @@ def _row_width(row_first, row_x):
     return width
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _live_on(out, o, ends, e, scores, a, n, presence, entry, leaving):
     for x in range(_U(n)):
         reached = out[o + x] if out[o + x] > -entry else -entry
@@ -126,7 +126,7 @@ def _live_on(out, o, ends, e, scores, a, n, presence, entry, leaving):
         ends[e + x] = ends[e + x] if ends[e + x] > end else end
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def forward_segment(value, ends, before, scores, moves, end_moves_before, first_frame, last_frame,
                     row_first, row_x, reach, cost, presence, entry, leaving, first_row, last_row):
     """Extend the best paths by one segment, rows ``first_row`` to ``last_row``.

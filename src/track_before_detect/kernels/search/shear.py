@@ -2,10 +2,10 @@
 
 import numba
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz', 'contract'}}
+from track_before_detect.kernels.compile_flags import FUSED
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FUSED)
 def shear_rows(out, picture, shifts, outside, first_row, last_row):
     """Fill rows ``first_row`` to ``last_row`` of a sheared picture.
 

@@ -35,6 +35,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.kernels.compile_flags import FINITE
 from track_before_detect.kernels.search.borrowed_arrays import borrowed
 from track_before_detect.kernels.search.turn_simd import MOST_ROWS, RUN_SIZE, turn_and_add
 
@@ -44,7 +45,6 @@ BLOCKS = 64
 # What the compiled loops take at a time.
 VECTOR = 32
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz'}}
 _U = np.uint64
 
 
@@ -96,45 +96,45 @@ class Segment(NamedTuple):
     cost: np.float32
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def fill_row(out, o, n, value):
     """Write ``value`` to out[o + x]."""
     for x in range(_U(n)):
         out[o + x] = value
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def copy_row(out, o, source, a, n):
     """Write source[a + x] to out[o + x]."""
     for x in range(_U(n)):
         out[o + x] = source[a + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _add(out, o, source, a, n):
     for x in range(_U(n)):
         out[o + x] += source[a + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _add_two(out, o, source, a, b, n):
     for x in range(_U(n)):
         out[o + x] += source[a + x] + source[b + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _add_three(out, o, source, a, b, c, n):
     for x in range(_U(n)):
         out[o + x] += source[a + x] + source[b + x] + source[c + x]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _add_four(out, o, source, a, b, c, d, n):
     for x in range(_U(n)):
         out[o + x] += (source[a + x] + source[b + x]) + (source[c + x] + source[d + x])
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def raise_row(out, o, source, a, n, cost):
     """Raise out[o + x] to source[a + x] - cost where that is more."""
     for x in range(_U(n)):
@@ -142,7 +142,7 @@ def raise_row(out, o, source, a, n, cost):
         out[o + x] = out[o + x] if out[o + x] > other else other
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def best_of_three(out, o, source, here, left, right, n, cost):
     """Write to out[o + x] the best of three, two of them less ``cost``."""
     for x in range(_U(n)):
@@ -151,7 +151,7 @@ def best_of_three(out, o, source, here, left, right, n, cost):
         out[o + x] = source[here + x] if source[here + x] > beside else beside
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def run_of_blocks(marks, b, n_blocks):
     """Return the first run of marked blocks from block ``b`` on: first, and one past the last."""
     if b >= n_blocks or not marks >> _U(b):
@@ -166,7 +166,7 @@ def run_of_blocks(marks, b, n_blocks):
     return b, end
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _add_scores(out, o, scores, offsets, v, start, n, t):
     """Add to out[o + x] the weights met in the frames of a segment from its frame ``t`` on.
 
@@ -187,7 +187,7 @@ def _add_scores(out, o, scores, offsets, v, start, n, t):
         _add(out, o, scores, _U(start + offsets[v, t]), n)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _turn_x(turns, wanted, source, before, velocity_at, reach, cost, block, lanes):
     """Write to ``turns`` the best within reach along v_x, less the cost a step, where wanted.
 
@@ -216,7 +216,7 @@ def _turn_x(turns, wanted, source, before, velocity_at, reach, cost, block, lane
             b, end = run_of_blocks(wanted[slot], end, n_blocks)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _turn_y(out, o, turns, here, step, reach, cost, n):
     """Write to out[o + x] the best within reach along v_y of what ``_turn_x`` wrote.
 
@@ -229,7 +229,7 @@ def _turn_y(out, o, turns, here, step, reach, cost, n):
         raise_row(out, o, turns, _U(here + k * step), n, np.float32(k) * cost)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _find_sources(source, y, arrival, n_y, stride, pad, guard):
     """Write to source[v] where the best paths of velocity v that arrive in row y are held."""
     n_v = arrival.shape[0]
@@ -241,7 +241,7 @@ def _find_sources(source, y, arrival, n_y, stride, pad, guard):
     source[n_v] = pad
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets, n_frames):
     """Write to ``run`` what ``turn_and_add`` reads and writes, for n velocities from ``slot``."""
     for k in range(n + 2):
@@ -256,7 +256,7 @@ def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, of
             run[4 * n + 6 + k * n_frames + t] = first + offsets[v, t]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _extend_row(out, place, step, y, marks, m, before, scores, offsets, first_y, last_y, arrival,
                 slots, velocity_at, columns, reach, cost, layout, source, wanted, turns, run):
     """Extend the best paths by one segment in row ``y``, where marks[m] says so.
@@ -328,7 +328,7 @@ def _extend_row(out, place, step, y, marks, m, before, scores, offsets, first_y,
             slot += n * columns
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _work_space(before, segment, layout):
     """Return source, wanted, turns and run of ``_extend_row``."""
     n_slots = segment.velocity_at.size
@@ -338,7 +338,7 @@ def _work_space(before, segment, layout):
             np.empty(RUN_SIZE, np.int64))
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def extend_paths(value, before, scores, segment, layout, marks, first_row, last_row):
     """Extend the best paths by one segment, rows ``first_row`` to ``last_row`` of ``value``.
 
@@ -347,7 +347,7 @@ def extend_paths(value, before, scores, segment, layout, marks, first_row, last_
 
     ``before`` of no states starts the paths: the maximum is then zero.
     """
-    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed``.
+    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed_arrays``.
     value, before, scores = borrowed(value), borrowed(before), borrowed(scores)
     offsets, marks = borrowed(segment.offsets), borrowed(marks)
     # Taken out once: each use of a tuple that holds arrays updates their reference counts.
@@ -365,13 +365,13 @@ def extend_paths(value, before, scores, segment, layout, marks, first_row, last_
                         velocity_at, columns, reach, cost, layout, source, wanted, turns, run)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def finish_paths(best, before, scores, segment, layout, marks, first_row, last_row):
     """Write the largest weight over all velocities after the last segment to best[y, x].
 
     The weights are those of the function ``extend_paths``.
     """
-    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed``.
+    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed_arrays``.
     before, scores = borrowed(before), borrowed(scores)
     offsets = borrowed(segment.offsets)
     # Taken out once: each use of a tuple that holds arrays updates their reference counts.

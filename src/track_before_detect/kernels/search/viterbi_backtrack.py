@@ -1,14 +1,13 @@
-"""Follow the best paths back through the tables of the module ``path_search``."""
+"""Follow the best paths back through the tables of the module ``viterbi``."""
 
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import EXACT
 from track_before_detect.kernels.search.viterbi import ABSENT
 
-_COMPILE = {'nogil': True, 'cache': True}
 
-
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def _best_arrival(before, y, x, v, segment, layout):
     """Return how the best path comes to go on from (y, x) at velocity v.
 
@@ -38,7 +37,7 @@ def _best_arrival(before, y, x, v, segment, layout):
     return chosen, best, turned
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def best_velocities(velocities, before, scores, y, x, segment, layout):
     """Write the velocity of the best path that starts its last segment at (y[i], x[i])."""
     for i in range(y.size):
@@ -56,7 +55,7 @@ def best_velocities(velocities, before, scores, y, x, segment, layout):
         velocities[i] = chosen
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def step_back(y, x, velocities, turns, before, segment, layout):
     """Take paths from the start of a segment to the start of the one before, in place.
 
@@ -70,7 +69,7 @@ def step_back(y, x, velocities, turns, before, segment, layout):
         y[i] -= segment.arrival[velocity, 1]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**EXACT)
 def pick_peaks(peaks, best, above, radius):
     """Write to ``peaks`` (N, 2) the y and x of separate maxima above a level, largest first.
 

@@ -10,7 +10,7 @@ states near a target stay stale for good (safe screening, with a bound for any s
 
 Layout of every array
 ---------------------
-As in the module ``path_search``, and
+As in the module ``viterbi``, and
 
 marks, stale, wanted : uint64 (Y,) or (Y, V)
     One bit for each block of ``block`` positions of a row, so that one number covers the row.
@@ -19,13 +19,13 @@ marks, stale, wanted : uint64 (Y,) or (Y, V)
 import numba
 import numpy as np
 
+from track_before_detect.kernels.compile_flags import FINITE
 from track_before_detect.kernels.search.viterbi import ABSENT, BLOCKS, run_of_blocks
 
-_COMPILE = {'nogil': True, 'cache': True, 'fastmath': {'nnan', 'ninf', 'nsz'}}
 _U = np.uint64
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _shifted_blocks(marks, step, block):
     """Return the blocks from which some position meets a marked block after ``step``."""
     whole = step // block
@@ -33,14 +33,14 @@ def _shifted_blocks(marks, step, block):
     return met if step == whole * block else met | _moved_bits(marks, whole + 1)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _moved_bits(marks, n):
     if n >= BLOCKS or n <= -BLOCKS:
         return _U(0)
     return marks >> _U(n) if n >= 0 else marks << _U(-n)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _differ(new, a, old, b, n):
     bits = np.int32(0)
     for x in range(_U(n)):
@@ -48,7 +48,7 @@ def _differ(new, a, old, b, n):
     return bits != 0
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _largest_rise(new, a, old, b, n):
     rise = np.float32(0)
     for x in range(_U(n)):
@@ -57,7 +57,7 @@ def _largest_rise(new, a, old, b, n):
     return rise
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _copy_and_size(out, o, source, a, n):
     """Write source[a + x] to out[o + x]; return the largest size of those that are not absent."""
     largest = np.float32(0)
@@ -69,7 +69,7 @@ def _copy_and_size(out, o, source, a, n):
     return largest
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def replace_scores(scores, scores_bits, marks, rise, largest, new, new_bits, rows, layout,
                    first_row, last_row):
     """Bring the scores up to date, and find where they differ and how much they rise.
@@ -101,7 +101,7 @@ def replace_scores(scores, scores_bits, marks, rise, largest, new, new_bits, row
                     largest[y, t] = max(largest[y, t], _copy_and_size(scores, o, flat, a, n))
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _copy_and_raise_sizes(out, o, source, a, sizes, n):
     for x in range(_U(n)):
         score = source[a + x]
@@ -110,7 +110,7 @@ def _copy_and_raise_sizes(out, o, source, a, sizes, n):
         sizes[x] = sizes[x] if sizes[x] > size else size
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def store_scores(scores, largest, new, layout, first_row, last_row):
     """Copy scores (T, Y, X), and find how large they are.
 
@@ -128,7 +128,7 @@ def store_scores(scores, largest, new, layout, first_row, last_row):
         largest[first_row, t] = sizes.max()
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def _spread(out, marks, slots, columns, reach, beside):
     """Write to out[v] all that is marked for a velocity within reach of v, for one row.
 
@@ -147,7 +147,7 @@ def _spread(out, marks, slots, columns, reach, beside):
             out[v] |= beside[slots[v] + k * columns]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def changed_states(marks, marks_before, score_marks, moves, segment, layout, first_row, last_row):
     """Add to marks[y, v] the states of a segment that meet a change.
 
@@ -180,7 +180,7 @@ def changed_states(marks, marks_before, score_marks, moves, segment, layout, fir
             marks[y, v] |= met & all_blocks
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def spread_turns(near, wanted, segment, first_row, last_row):
     """Write to near[y, v] all that is wanted for a velocity within reach of v."""
     beside = np.empty(segment.velocity_at.size, np.uint64)
@@ -189,7 +189,7 @@ def spread_turns(near, wanted, segment, first_row, last_row):
         _spread(near[y], wanted[y], slots, segment.columns, segment.reach, beside)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def wanted_before(wanted, stale, near, arrival, layout, first_row, last_row):
     """Write to wanted[y, v] the stale states of a segment that wanted ones follow.
 
@@ -206,7 +206,7 @@ def wanted_before(wanted, stale, near, arrival, layout, first_row, last_row):
                                                              layout.block)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def any_velocity(met, marks, first_row, last_row):
     """Add to met[y] what is marked for some velocity."""
     for y in range(first_row, last_row):
@@ -214,7 +214,7 @@ def any_velocity(met, marks, first_row, last_row):
             met[y] |= marks[y, v]
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def raise_stale(best, stale, rise, layout, first_row, last_row):
     """Add ``rise`` to the weights of stale blocks, which makes them bounds."""
     for y in range(first_row, last_row):
@@ -225,7 +225,7 @@ def raise_stale(best, stale, rise, layout, first_row, last_row):
             b, end = run_of_blocks(stale[y], end, BLOCKS)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def wanted_last(wanted, stale, best, level, layout, first_row, last_row):
     """Write to wanted[y] the stale blocks of the last segment with a bound above ``level``."""
     for y in range(first_row, last_row):
@@ -239,7 +239,7 @@ def wanted_last(wanted, stale, best, level, layout, first_row, last_row):
             b, _ = run_of_blocks(stale[y], b + 1, BLOCKS)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def largest_by_row(known, bound, best, stale, layout, first_row, last_row):
     """Find the largest weight of each row in blocks that are not stale, and in those that are."""
     for y in range(first_row, last_row):
@@ -254,7 +254,7 @@ def largest_by_row(known, bound, best, stale, layout, first_row, last_row):
                 known[y] = max(known[y], top)
 
 
-@numba.njit(**_COMPILE)
+@numba.njit(**FINITE)
 def count_blocks(marks):
     """Return the number of marked blocks, of flat ``marks``."""
     total = 0

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect import geometry
-from track_before_detect.kernels.psf.measurement import curvatures, Sight
+from track_before_detect.kernels.psf.measurement import CompiledMeasurement, curvatures
 from track_before_detect.models.measurement.psf import Psf
 
 # Places of the plane, along each side, at which the sharpness of the PSFs is looked at.
@@ -23,7 +23,7 @@ MOST_PER_PX = 4
 
 
 @dataclass(frozen=True, eq=False)
-class PlaneView:
+class MultiSensor:
     """How each frame of a batch sees the positions of a common plane.
 
     It stands where the PSF of a single sensor does; positions are pixels of the plane.
@@ -64,12 +64,12 @@ class PlaneView:
     @cached_property
     def _curvature(self):
         """Curvature of the statistic on the plane, shape (places, T, 2)."""
-        sight = self.sight(for_climbing=True)
+        compiled = self.compiled(with_curvature=True)
         found = np.empty((N_PLACES**2, len(self.maps), 2))
         places = np.stack(np.meshgrid(*(np.linspace(0, size - 1, N_PLACES)
                                         for size in self.shape[::-1])), axis=-1)
         for place, out in zip(places.reshape(-1, 2), found, strict=True):
-            curvatures(sight, np.tile(place, (len(self.maps), 1)), out)
+            curvatures(compiled, np.tile(place, (len(self.maps), 1)), out)
         return found
 
     @property
@@ -83,16 +83,17 @@ class PlaneView:
         sigma = 1 / math.sqrt(2 * self._curvature.max())
         return int(np.clip(math.ceil(POSITIONS_PER_SIGMA / sigma - 1e-6), 1, MOST_PER_PX))
 
-    def sight(self, for_climbing: bool = False) -> Sight:
+    def compiled(self, with_curvature: bool = False) -> CompiledMeasurement:
         """Return what compiled loops need; the curvature of the PSFs only for climbing."""
-        optics = tuple(psf.optics(psf.curvature if for_climbing else None) for psf in self.psfs)
-        return Sight(optics, np.asarray(self.sensor, np.int64), np.ascontiguousarray(self.maps))
+        optics = tuple(psf.optics(psf.curvature if with_curvature else None) for psf in self.psfs)
+        return CompiledMeasurement(optics, np.asarray(self.sensor, np.int64),
+                                   np.ascontiguousarray(self.maps))
 
     def limits(self, _: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position."""
         return np.array([self.shape[1] - 1.0, self.shape[0] - 1.0])
 
-    def window(self, shape: tuple[int, int]) -> PlaneView:
+    def window(self, shape: tuple[int, int]) -> MultiSensor:
         """Return the view of a part (H, W) in the middle of the plane."""
         offset = [(self.shape[1] - shape[1]) // 2, (self.shape[0] - shape[0]) // 2]
         return replace(self, maps=self.maps @ geometry.translations(np.array([offset])),

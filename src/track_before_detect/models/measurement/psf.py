@@ -14,9 +14,8 @@ from scipy.ndimage import spline_filter1d
 from scipy.special import ndtr
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.kernels.psf.measurement import CompiledMeasurement
 from track_before_detect.kernels.psf.psf_profiles import fill_profiles, Optics, product_norm
-from track_before_detect.kernels.psf.measurement import Sight
-from track_before_detect.options import DetectorOptions
 
 LEAST_SIGMA_PX = 0.2
 # Samples of a Gaussian per standard deviation: a cubic spline through them is exact to 1e-7.
@@ -121,10 +120,10 @@ class Psf(ABC):
         return Optics(self.coefficients, self.per_px, self.half_width, np.zeros(1), np.ones(1),
                       np.zeros(2) if curvature is None else curvature, 0.0, 0.0, np.empty(0))
 
-    def sight(self, for_climbing: bool = False) -> Sight:
-        """Return how frames see a path in their own pixels, see the module ``sight``."""
-        optics = self.optics(self.curvature if for_climbing else None)
-        return Sight((optics,), np.zeros(0, np.int64), np.empty((0, 3, 3)))
+    def compiled(self, with_curvature: bool = False) -> CompiledMeasurement:
+        """Return what compiled loops need to see a path in frames of these pixels."""
+        optics = self.optics(self.curvature if with_curvature else None)
+        return CompiledMeasurement((optics,), np.zeros(0, np.int64), np.empty((0, 3, 3)))
 
     def limits(self, shape: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position in frames (H, W)."""
@@ -255,13 +254,6 @@ class ArrayPsf(Psf):
     def filter_rank(self) -> int:
         """Components that the matched filter needs."""
         return self._filter_rank
-
-
-def psf_of(options: DetectorOptions) -> Psf:
-    """Return the PSF that the options describe."""
-    if options.psf is not None:
-        return ArrayPsf(options.psf.array)
-    return GaussianPsf(options.psf_sigma_px, options.psf_model == 'integrated_gaussian')
 
 
 def of_unit_norm(psf: ArrayLike) -> NDArray[np.float64]:

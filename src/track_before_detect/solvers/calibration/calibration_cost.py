@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.multi_sensor import PlaneView
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import Psf
-from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
+from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.solvers.search.streak_scores import places_along
 
 # Of the score of a place in a frame and each component of the PSF, the noise included; of complex
@@ -41,7 +41,7 @@ SECONDS_PER_STAMP = 5e-5
 SECONDS_PER_STAMP_PIXEL = 2.7e-7
 
 
-def search_seconds(graph: StateGraph, psf: Psf | PlaneView, grid: tuple[int, int],
+def search_seconds(graph: StateGraph, psf: Psf | MultiSensor, grid: tuple[int, int],
                    model: AmplitudeModel, partial: bool, n_refined: int) -> float:
     """Return the CPU time of one search of noise.
 
@@ -49,7 +49,7 @@ def search_seconds(graph: StateGraph, psf: Psf | PlaneView, grid: tuple[int, int
     ----------
     graph : StateGraph
         The paths.
-    psf : Psf or PlaneView
+    psf : Psf or MultiSensor
         What a target looks like.
     grid : tuple of int
         Positions (Y, X).
@@ -72,7 +72,7 @@ def search_seconds(graph: StateGraph, psf: Psf | PlaneView, grid: tuple[int, int
 
 def _scoring(graph, psf, model):
     """Seconds that the scores of a place take, all frames together."""
-    if isinstance(psf, PlaneView):
+    if isinstance(psf, MultiSensor):
         return sum(
             _pixels(own) * (SECONDS_PER_MAPPED_PIXEL
                             + SECONDS_PER_PIXEL_SEEN * np.count_nonzero(psf.sensor == sensor))
@@ -89,12 +89,12 @@ def _scoring(graph, psf, model):
 
 def _looking(graph, psf):
     """Seconds that looking at all frames takes while a path is refined."""
-    if not isinstance(psf, PlaneView):
-        return graph.n_frames * _look(psf)
-    return sum(_look(psf.psfs[sensor]) for sensor in psf.sensor)
+    if not isinstance(psf, MultiSensor):
+        return graph.n_frames * _evaluate(psf)
+    return sum(_evaluate(psf.psfs[sensor]) for sensor in psf.sensor)
 
 
-def _look(psf):
+def _evaluate(psf):
     stamps = len(psf.coefficients) * psf.optics().nodes.size
     return SECONDS_PER_FRAME + stamps * (
         SECONDS_PER_STAMP + SECONDS_PER_STAMP_PIXEL * _pixels(psf))

@@ -20,22 +20,22 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.kernels.psf.measurement import whole_norm
-from track_before_detect.models.measurement.psf import psf_of
 from track_before_detect.models.motion.transition_sets import directional_sets, TransitionSets
+from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
     FoundTrajectory,
 )
-from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
+from track_before_detect.solvers.calibration.threshold import noise_frames, NoiseStudy
 from track_before_detect.solvers.cancellation.target_cancellation import (
     MOST_TARGETS,
     Search,
     TargetSearch,
     Track,
 )
-from track_before_detect.solvers.calibration.threshold import noise_frames, NoiseStudy
+from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
 from track_before_detect.types import Progress, Step
 
 MOTIONS = ('nearly_constant_velocity', 'static')
@@ -129,9 +129,9 @@ class MtDpDetector(BatchDetector):
                 threshold: float) -> BatchResult:
         """Return tracks as trajectories, best first, with the first and last largest merit."""
         statistic, n_frames = self.merit.statistic, len(search.scores)
-        shown = whole_norm(self.psf.sight(), search.scores.shape[1:])
+        visible = whole_norm(self.psf.compiled(), search.scores.shape[1:])
         found = [FoundTrajectory(
-            track.pixels.astype(float), shown * search.amplitudes(track),
+            track.pixels.astype(float), visible * search.amplitudes(track),
             statistic(track.value, n_frames),
             float(np.mean(np.abs(track.seen) if self._complex else track.seen)))
             for track in sorted(tracks, key=lambda track: -track.value)]

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 
 from track_before_detect.models.motion.transition_sets import TransitionSets
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.batch_detector import BatchResult
 from track_before_detect.parallel import usable_cores
+from track_before_detect.solvers.batch_detector import BatchResult
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
 

@@ -150,7 +150,7 @@ class TargetSearch:
                     merit[own].sum() * n_frames > bound * n_own):
                 continue
             kept.append(track)
-            self._take(taken, track)
+            self._apply_fit(taken, track)
         return kept
 
     def amplitudes(self, track: Track) -> NDArray:
@@ -159,7 +159,7 @@ class TargetSearch:
         phi = self._measurements.phi[np.arange(len(x)), y, x]
         return np.where(track.seen != 0, track.seen / np.sqrt(np.maximum(phi, 1e-9)), 0)
 
-    def _take(self, taken, track):
+    def _apply_fit(self, taken, track):
         """Mark the pixels that a track spoils for others."""
         half = self._cores.shape[0] // 2
         t, dy, dx = np.nonzero(np.abs(track.seen)[:, None, None] > self._cores)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.fit import constant_modulus, group_lasso, least_squares
 from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, NON_NEGATIVE
-from track_before_detect.solvers.convex.detector import bounded_moduli
+from track_before_detect.solvers.convex import bounded_moduli
 
 MOST_ROUNDS = 200
 # Sweeps over amplitudes of constant modulus: at t = 1 another method takes over from there.
@@ -22,7 +22,7 @@ MODULI_ROUNDING = 1e-10
 
 def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
                    t_convex: float, model: AmplitudeModel, energy: float,
-                   gap: float, courses: NDArray | None = None) -> tuple[NDArray, bool]:
+                   gap: float, envelopes: NDArray | None = None) -> tuple[NDArray, bool]:
     """Minimise 1/2 x'Gx - h'x + t sum w_p |x_p| over the amplitudes x of given paths.
 
     Moduli that are constant are held so at t < 1, where they end at a stationary point that is no
@@ -47,7 +47,7 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
         Half the squared norm of the data.
     gap : float
         Duality gap to reach where t > 0; at t = 0 the optimum is reached to rounding.
-    courses : array, shape (P, T), optional
+    envelopes : array, shape (P, T), optional
         Of constant amplitudes: how they are in proportion, of unit norm; all equal unless given.
 
     Returns
@@ -56,16 +56,16 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
     converged : bool
     """
     constant = model.is_constant
-    if courses is None:
-        courses = np.full(amplitudes.shape, 1 / math.sqrt(amplitudes.shape[1]))
+    if envelopes is None:
+        envelopes = np.full(amplitudes.shape, 1 / math.sqrt(amplitudes.shape[1]))
     if model.has_one_modulus:
-        return _fit_moduli(amplitudes, matched, gram, courses, weights, t_convex, energy,
+        return _fit_moduli(amplitudes, matched, gram, envelopes, weights, t_convex, energy,
                            max(gap, MODULI_ROUNDING * energy))
     if constant:
         # One amplitude for each path: its column joins all frames.
-        x = np.sum(courses * amplitudes, axis=1, keepdims=True)
-        matched = np.sum(courses * matched, axis=1, keepdims=True)
-        gram = np.einsum('pt,pqt,qt->pq', courses, gram, courses)[:, :, None]
+        x = np.sum(envelopes * amplitudes, axis=1, keepdims=True)
+        matched = np.sum(envelopes * matched, axis=1, keepdims=True)
+        gram = np.einsum('pt,pqt,qt->pq', envelopes, gram, envelopes)[:, :, None]
     else:
         x = amplitudes.copy()
     non_negative = model.code in (CONSTANT, NON_NEGATIVE)
@@ -84,20 +84,20 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
         converged = reached <= wanted
         x /= weights[:, None, None]
     fitted = x[:, 0] + 1j * x[:, 1] if model.is_complex else x[:, 0]
-    return courses * fitted if constant else fitted, converged
+    return envelopes * fitted if constant else fitted, converged
 
 
-def _fit_moduli(amplitudes, matched, gram, courses, weights, t_convex, energy, wanted):
+def _fit_moduli(amplitudes, matched, gram, envelopes, weights, t_convex, energy, wanted):
     """Fit amplitudes of constant modulus and free phase."""
     x = np.array(amplitudes, complex)
     matched = np.ascontiguousarray(matched, complex)
-    gram, courses = np.ascontiguousarray(gram), np.ascontiguousarray(courses)
+    gram, envelopes = np.ascontiguousarray(gram), np.ascontiguousarray(envelopes)
     convex = t_convex == 1.0
     left = constant_modulus.descend(
-        x, np.empty(len(x)), matched, gram, courses, t_convex * weights, convex, energy, wanted,
+        x, np.empty(len(x)), matched, gram, envelopes, t_convex * weights, convex, energy, wanted,
         SWEEPS_AT_FIRST if convex else MOST_SWEEPS)
     if convex and left > wanted:
-        x, left = bounded_moduli.solve(matched, gram, courses, weights, energy, wanted)
+        x, left = bounded_moduli.solve(matched, gram, envelopes, weights, energy, wanted)
     return x, left <= wanted
 
 

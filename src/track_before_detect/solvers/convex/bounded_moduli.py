@@ -28,7 +28,7 @@ LEAST_FALL = 0.1
 MOST_HALVINGS = 30
 
 
-def solve(matched: NDArray, gram: NDArray, courses: NDArray, weights: NDArray, energy: float,
+def solve(matched: NDArray, gram: NDArray, envelopes: NDArray, weights: NDArray, energy: float,
           gap_wanted: float) -> tuple[NDArray, float]:
     """Minimise to a duality gap.
 
@@ -38,7 +38,7 @@ def solve(matched: NDArray, gram: NDArray, courses: NDArray, weights: NDArray, e
         h.
     gram : array, shape (P, P, T)
         G in each frame.
-    courses : array, shape (P, T)
+    envelopes : array, shape (P, T)
         c, zero in frames that show nothing of a path.
     weights : array, shape (P,)
         w, above zero.
@@ -54,8 +54,8 @@ def solve(matched: NDArray, gram: NDArray, courses: NDArray, weights: NDArray, e
     gap : float
         Duality gap reached.
     """
-    problem = _Problem(matched, gram, courses, weights, energy)
-    n_bounds = max(int(np.count_nonzero(courses)), 1)
+    problem = _Problem(matched, gram, envelopes, weights, energy)
+    n_bounds = max(int(np.count_nonzero(envelopes)), 1)
     x = np.zeros((2, *matched.shape))
     s = np.full(len(weights), math.sqrt(2 * energy))
     # Each bound is worth twice the height of the barrier.
@@ -77,12 +77,12 @@ def solve(matched: NDArray, gram: NDArray, courses: NDArray, weights: NDArray, e
 class _Problem:
     """Values and steps; x has the shape (2, P, T), the real and the imaginary parts."""
 
-    def __init__(self, matched, gram, courses, weights, energy):
+    def __init__(self, matched, gram, envelopes, weights, energy):
         self._data = matched
         self._matched = np.array([matched.real, matched.imag])
         self._gram = gram
-        self._courses = courses
-        self._squares = courses**2
+        self._envelopes = envelopes
+        self._squares = envelopes**2
         self._weights = weights
         self._energy = energy
 
@@ -97,7 +97,7 @@ class _Problem:
 
     def step(self, x, s, height):
         """Return x and s after a Newton step, and half the squared Newton decrement."""
-        n_paths, n_frames = self._courses.shape
+        n_paths, n_frames = self._envelopes.shape
         room, squares = self._room(x, s), self._squares
         slope_x = np.einsum('pqt,dqt->dpt', self._gram, x) - self._matched + 2 * height * x / room
         slope_s = self._weights - 2 * height * s * (squares / room).sum(axis=1)
@@ -143,11 +143,11 @@ class _Problem:
         Towards it either the bound of a path goes to zero or what its statistic lacks of its
         weight does.
         """
-        lacking = 1 - (self._courses * np.abs(self._left(x))).sum(axis=1) / self._weights
+        lacking = 1 - (self._envelopes * np.abs(self._left(x))).sum(axis=1) / self._weights
         x = np.where((lacking > s / s.sum())[:, None], 0.0, x)
         amplitudes = x[0] + 1j * x[1]
-        norms = AmplitudeModel(COMPLEX_CONSTANT).norms(amplitudes, self._courses)
-        _, gap = convex_gap(amplitudes, norms, self._data, self._left(x), self._courses,
+        norms = AmplitudeModel(COMPLEX_CONSTANT).norms(amplitudes, self._envelopes)
+        _, gap = convex_gap(amplitudes, norms, self._data, self._left(x), self._envelopes,
                             self._weights, self._energy)
         return gap, amplitudes
 

@@ -8,18 +8,18 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.models.measurement.multi_sensor import PlaneView
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.measurement.streak import StreakPsf
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
-from track_before_detect.solvers.convex.duplicates import GhostSearch
-from track_before_detect.solvers.refine.partial_refinement import PartialRefiner
-from track_before_detect.solvers.path_detector import PathDetector, Task
-from track_before_detect.solvers.search.path_search import PathSearch
-from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.convex.duplicates import DuplicateSearch
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.convex.warm_start import starting_paths
+from track_before_detect.solvers.path_detector import PathDetector, Task
+from track_before_detect.solvers.refine.partial_refinement import PartialRefiner
+from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.search.path_search import PathSearch
 
 # Motions of which every batch begins afresh.
 WITHOUT_START = ('range_doppler', 'range_bearing')
@@ -38,9 +38,9 @@ class ConvexDetector(PathDetector):
     # With more the threshold at a rate of 5 % stays the same within 0.1 % (on 400 batches).
     refined_in_noise = 3
 
-    def __init__(self, options: DetectorOptions, view: PlaneView | None = None):
+    def __init__(self, options: DetectorOptions, view: MultiSensor | None = None):
         super().__init__(options, view)
-        self._told_width = False
+        self._width_warned = False
 
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
@@ -48,12 +48,12 @@ class ConvexDetector(PathDetector):
         refiner = self._refiner(task.graph, task.psf, task.times, task.weights)
         result = pursue(task.search, refiner, paths, self._separation,
                         PursuitSettings(self.options.continuation), self._start(task))
-        self._merge_ghosts(task)
+        self._merge_duplicates(task)
         threshold = self.statistic(self.model.value(paths.threshold), len(task.times))
         return BatchResult(self._collect(paths), threshold, result.status, result.history,
                            result.gap)
 
-    def _merge_ghosts(self, task):
+    def _merge_duplicates(self, task):
         """Leave one path for each target, though it may look unlike the PSF.
 
         Convex solutions stay as they are: their neighbouring paths and the certificate belong
@@ -62,15 +62,15 @@ class ConvexDetector(PathDetector):
         """
         options, psf = self.options, task.psf
         if (self.presence is not None or options.doppler_ambiguities
-                or options.continuation[-1] > 0 or isinstance(psf, (PlaneView, StreakPsf))):
+                or options.continuation[-1] > 0 or isinstance(psf, (MultiSensor, StreakPsf))):
             return
-        search = GhostSearch(task.graph, task.times, task.weights, task.paths, psf.width_px)
+        search = DuplicateSearch(task.graph, task.times, task.weights, task.paths, psf.width_px)
         widths = search.merge()
-        if not len(widths) or options.psf is not None or self._told_width:
+        if not len(widths) or options.psf is not None or self._width_warned:
             return
         ratio = float(np.median(widths)) / psf.width_px
         if abs(ratio - 1) > WRONG_WIDTH:
-            self._told_width = True
+            self._width_warned = True
             _LOG.warning('the targets look %.2g px wide, psf_sigma_px is %g',
                          ratio * options.psf_sigma_px, options.psf_sigma_px)
 
@@ -82,7 +82,7 @@ class ConvexDetector(PathDetector):
         return starting_paths(task.graph, task.times, task.search.grid_shape, self.earlier,
                               self.presence)
 
-    def largest_value(self, search: PathSearch, psf: Psf | PlaneView, times: NDArray,
+    def largest_value(self, search: PathSearch, psf: Psf | MultiSensor, times: NDArray,
                       ) -> Callable[[NDArray], float]:
         """Return a function that returns the largest value of any refined path in noise.
 
@@ -120,10 +120,10 @@ class ConvexDetector(PathDetector):
             seen = paths.seen(path)
             model = paths.model
             present = self.present(paths.positions[path], seen)
-            shown = present & paths.shown(path)
+            visible = present & paths.visible(path)
             found.append(FoundTrajectory(
                 np.where(present[:, None], paths.positions[path], np.nan),
                 np.where(present, paths.target_amplitudes(path), np.nan),
                 # Less its cost, so that every statistic meets the same threshold.
-                self.statistic(paths.value(path), len(seen)), model.snr(seen[shown])))
+                self.statistic(paths.value(path), len(seen)), model.snr(seen[visible])))
         return sorted(found, key=lambda trajectory: -trajectory.statistic)

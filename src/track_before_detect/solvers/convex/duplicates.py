@@ -3,8 +3,9 @@
 A bright target that is wider than the PSF, or of another shape, leaves more beside the fit of one
 path than noise does, and the pursuit explains the rest by further paths around it: ghosts. What
 tells them from targets is that one target explains the frames as well as all of them, if it may
-have a shape of its own that is the same in every frame (:mod:`blob`). Two targets of the given PSF
-look like no such shape: at three widths of it apart some tenth of their energy stays unexplained.
+have a shape of its own that is the same in every frame (:mod:`extended_target`). Two
+targets of the given PSF look like no such shape: at three widths of it apart some tenth of their
+energy stays unexplained.
 
 Two comparisons of the energy taken off the frames decide, each at a level of chi squared (half of
 it, for energies are half squared norms) with as many degrees of freedom as the paths have more
@@ -22,8 +23,12 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from track_before_detect.models.motion.state_graph import StateGraph
-from track_before_detect.solvers.convex.extended_target import Blob, BlobFitter, together
-from track_before_detect.solvers.convex.working_set import PathSet
+from track_before_detect.solvers.convex.extended_target import (
+    ExtendedTarget,
+    ExtendedTargetFitter,
+    together,
+)
+from track_before_detect.solvers.convex.working_set import WorkingSet
 
 # Fewer frames tell too little about a shape.
 LEAST_FRAMES = 8
@@ -44,7 +49,7 @@ PER_AXIS = 2
 SWEEPS = 4
 
 
-class GhostSearch:
+class DuplicateSearch:
     """Finds paths that stand for one target together, and lets one stand for it.
 
     Paths have to be present in every frame, of one sensor and without streaks, and at t = 0.
@@ -52,16 +57,16 @@ class GhostSearch:
     Parameters
     ----------
     graph, times, weights
-        As of :class:`BlobFitter`.
-    paths : PathSet
+        As of :class:`ExtendedTargetFitter`.
+    paths : WorkingSet
         The solution.
     width_px : float
         Width of the PSF.
     """
 
-    def __init__(self, graph: StateGraph, times: NDArray, weights: NDArray, paths: PathSet,
+    def __init__(self, graph: StateGraph, times: NDArray, weights: NDArray, paths: WorkingSet,
                  width_px: float):
-        self._fitter = BlobFitter(graph, times, weights, paths.model, width_px)
+        self._fitter = ExtendedTargetFitter(graph, times, weights, paths.model, width_px)
         self._paths = paths
         self._width = width_px
 
@@ -77,19 +82,19 @@ class GhostSearch:
         paths = self._paths
         if len(paths.frames) < LEAST_FRAMES:
             return np.empty(0)
-        found: list[tuple[NDArray[np.int64], Blob]] = []
+        found: list[tuple[NDArray[np.int64], ExtendedTarget]] = []
         left = np.ones(len(paths), bool)
         for path in np.argsort(-np.linalg.norm(paths.amplitudes, axis=1)):
             if not left[path]:
                 continue
             left[path] = False
-            members, blob = self._target_at(path, left)
-            if blob is not None:
+            members, extended = self._target_at(path, left)
+            if extended is not None:
                 left[members] = False
-                found.append((members, blob))
+                found.append((members, extended))
         if found:
             self._replace(found)
-        return np.array([blob.width_px for _, blob in found])
+        return np.array([extended.width_px for _, extended in found])
 
     def _target_at(self, path, left):
         """Return paths that are one target, this one first, and that target; None without one."""
@@ -104,12 +109,12 @@ class GhostSearch:
             for distance, offset in zip(distances, offsets, strict=True)], bool)
         if not near.any():
             return others, None
-        members, blob = self._one_of(path, others[near])
+        members, extended = self._one_of(path, others[near])
         # Beside others, ghosts may be anywhere for some of the time.
         passing = np.array([distance.min() < REACH for distance in distances])
-        if blob is None and np.any(passing & ~near):
-            members, blob = self._one_of(path, others[passing])
-        return members, blob
+        if extended is None and np.any(passing & ~near):
+            members, extended = self._one_of(path, others[passing])
+        return members, extended
 
     def _one_of(self, path, others):
         """Return as :meth:`_target_at` does, of some of these others."""
@@ -117,68 +122,68 @@ class GhostSearch:
         while len(others):
             members = np.append(path, others)
             with paths.without(*members) as frames:
-                blob = self._fitter.fit(frames, paths.positions[path], paths.costs[path],
+                extended = self._fitter.fit(frames, paths.positions[path], paths.costs[path],
                                         paths.threshold)
-                blob.show(frames, -1.0)
-                excess = np.array([paths.statistic(other, paths.seen_left(other))
+                extended.show(frames, -1.0)
+                excess = np.array([paths.statistic(other, paths.residual_statistic(other))
                                    for other in others]) - paths.weights[others]
-                blob.show(frames, 1.0)
+                extended.show(frames, 1.0)
             if excess.max() <= 0:
-                return members, blob if self._explains(blob, members) else None
+                return members, extended if self._explains(extended, members) else None
             # What the one target leaves there is worth a path.
             others = np.delete(others, np.argmax(excess))
         return others, None
 
-    def _explains(self, blob, members):
+    def _explains(self, extended, members):
         """Return whether a target explains as much as the paths that it would stand for."""
         paths, model = self._paths, self._paths.model
-        _, seen, course = together(*paths.as_one(members), model)
-        in_proportion = 0.5 * model.statistic(seen, course)**2
+        _, seen, envelope = together(*paths.joint_parts(members), model)
+        in_proportion = 0.5 * model.statistic(seen, envelope)**2
         objective, _, _ = paths.fitted(members, 0.0)
         free = 0.5 * float(np.sum(paths.weights[members]**2)) - objective
         n_axes = sum(side > 1 for side in paths.frames.shape[1:])
         n_numbers = model.n_numbers(len(paths.frames))
         chance_of_shape = CHANCE if n_axes > 1 else CHANCE_ON_A_LINE
         return all(
-            energy - blob.energy <= 0.5 * chdtri(
-                (len(members) - 1) * (numbers + PER_AXIS * n_axes) - blob.n_shares, chance)
+            energy - extended.energy <= 0.5 * chdtri(
+                (len(members) - 1) * (numbers + PER_AXIS * n_axes) - extended.n_shares, chance)
             for energy, numbers, chance in (
                 (in_proportion, 1, chance_of_shape), (free, n_numbers, CHANCE_FREE)))
 
     def _replace(self, found):
         """Let targets stand for their paths, and drop paths around them that are not needed."""
         paths = self._paths
-        blobs = [blob for _, blob in found]
+        extended_targets = [extended for _, extended in found]
         taken = np.concatenate([members for members, _ in found])
         around = np.unique(np.concatenate([paths.neighbours(path) for path in taken]))
         around = np.setdiff1d(around, taken)
         paths.assign(taken, np.zeros_like(paths.amplitudes[taken]))
-        for blob in blobs:
-            blob.show(paths.residual, -1.0)
-        dropped = [_not_needed(paths, around, blobs)]
-        for members, blob in found:
-            blob.show(paths.residual, 1.0)
-            self._move(members[0], blob)
-            blob.show(paths.residual, -1.0)
+        for extended in extended_targets:
+            extended.show(paths.residual, -1.0)
+        dropped = [_not_needed(paths, around, extended_targets)]
+        for members, extended in found:
+            extended.show(paths.residual, 1.0)
+            self._move(members[0], extended)
+            extended.show(paths.residual, -1.0)
             dropped.append(members[1:])
-        for blob in blobs:
-            blob.show(paths.residual, 1.0)
+        for extended in extended_targets:
+            extended.show(paths.residual, 1.0)
         for members, _ in found:
             _set(paths, members[0], paths.best(members[0]))
         paths.remove(np.concatenate(dropped))
 
-    def _move(self, path, blob):
+    def _move(self, path, extended):
         """Put a path without amplitudes where its target is seen best."""
         paths = self._paths
-        own = (paths.statistic(path, paths.seen_left(path)), paths.positions[path],
+        own = (paths.statistic(path, paths.residual_statistic(path)), paths.positions[path],
                paths.costs[path])
-        paths.move(path, blob.positions, blob.cost)
+        paths.move(path, extended.positions, extended.cost)
         # The middle of a target is not that of a PSF whose energy lies beside its own middle.
-        if paths.statistic(path, paths.seen_left(path)) < own[0]:
+        if paths.statistic(path, paths.residual_statistic(path)) < own[0]:
             paths.move(path, own[1], own[2])
 
 
-def _not_needed(paths, around, blobs):
+def _not_needed(paths, around, extended_targets):
     """Drop from the fit the paths that do not pass their weight on what all others leave.
 
     A ghost may have gone from one target to the next.
@@ -189,12 +194,12 @@ def _not_needed(paths, around, blobs):
         _set(paths, path, np.zeros_like(paths.amplitudes[path]))
         others = kept[kept != path]
         for _ in range(SWEEPS):
-            for blob in blobs:
-                blob.fit(paths.residual, paths.model)
+            for extended in extended_targets:
+                extended.fit(paths.residual, paths.model)
             for other in others:
-                seen = paths.amplitudes[other] + paths.seen_left(other)
+                seen = paths.amplitudes[other] + paths.residual_statistic(other)
                 _set(paths, other, paths.best(other, seen))
-        seen = paths.seen_left(path)
+        seen = paths.residual_statistic(path)
         if paths.statistic(path, seen) > paths.weights[path]:
             _set(paths, path, paths.best(path, seen))
         else:

@@ -37,7 +37,7 @@ ROUNDING = 1e-6
 
 
 @dataclass
-class Blob:
+class ExtendedTarget:
     """One target with a shape of its own.
 
     Attributes
@@ -54,8 +54,8 @@ class Blob:
         Of unit norm.
     origins : array, shape (T, 2)
         Pixel (x, y) of ``stamps[t, 0, 0]``.
-    course : array, shape (T,)
-        See :meth:`AmplitudeModel.course`.
+    envelope : array, shape (T,)
+        See :meth:`AmplitudeModel.envelope`.
     amplitudes : array, shape (T,)
     energy : float
         What it takes off half the squared norm of the frames that it was fitted to.
@@ -67,7 +67,7 @@ class Blob:
     n_shares: int
     stamps: NDArray[np.float64]
     origins: NDArray[np.int64]
-    course: NDArray[np.float64]
+    envelope: NDArray[np.float64]
     amplitudes: NDArray
     energy: float
 
@@ -80,11 +80,11 @@ class Blob:
         seen = np.empty_like(self.amplitudes)
         stamp_kernels.correlate(self.stamps, self.origins, residual, seen)
         self.show(residual, 1.0)
-        self.amplitudes = model.best(self.amplitudes + seen, self.course)
+        self.amplitudes = model.best(self.amplitudes + seen, self.envelope)
         self.show(residual, -1.0)
 
 
-class BlobFitter:
+class ExtendedTargetFitter:
     """Fits one target with a shape of its own.
 
     Parameters
@@ -109,7 +109,8 @@ class BlobFitter:
         self._model = model
         self._ends = [math.log(max(factor * width_px, LEAST_SIGMA_PX)) for factor in WIDTHS]
 
-    def fit(self, frames: NDArray, positions: NDArray, cost: float, threshold: float) -> Blob:
+    def fit(self, frames: NDArray, positions: NDArray, cost: float,
+            threshold: float) -> ExtendedTarget:
         """Return the target that explains most of frames (T, H, W).
 
         Parameters
@@ -135,10 +136,10 @@ class BlobFitter:
         for part, row in zip(parts, seen, strict=True):
             stamp_kernels.correlate(part, origins, frames, row)
         overlaps = np.einsum('ityx,jtyx->ijt', parts, parts)
-        mixture, seen, course = together(seen, overlaps, model)
-        return Blob(positions, cost, width, len(parts),
-                    np.einsum('it,ityx->tyx', mixture, parts), origins, course,
-                    model.best(seen, course), 0.5 * model.statistic(seen, course)**2)
+        mixture, seen, envelope = together(seen, overlaps, model)
+        return ExtendedTarget(positions, cost, width, len(parts),
+                    np.einsum('it,ityx->tyx', mixture, parts), origins, envelope,
+                    model.best(seen, envelope), 0.5 * model.statistic(seen, envelope)**2)
 
     def _width(self, frames, positions):
         """Return the width of the Gaussian that explains most along a path."""
@@ -147,7 +148,7 @@ class BlobFitter:
             stamps, origins, norms = self._render(frames, positions, math.exp(log_width))
             seen = np.empty(len(frames), complex if self._model.is_complex else float)
             stamp_kernels.correlate(stamps, origins, frames, seen)
-            return -self._model.statistic(seen, self._model.course(norms))
+            return -self._model.statistic(seen, self._model.envelope(norms))
 
         return math.exp(minimize_scalar(missed, bounds=self._ends, method='bounded',
                                         options={'xatol': 0.02}).x)
@@ -170,7 +171,8 @@ class BlobFitter:
         stamps = np.empty((n_frames, size, size))
         origins = np.empty((n_frames, 2), np.int64)
         norms = np.empty(n_frames)
-        render_path(psf.sight(), positions, height, width, self._weights, stamps, origins, norms)
+        render_path(psf.compiled(), positions, height, width, self._weights, stamps, origins,
+                    norms)
         return stamps, origins, norms
 
 
@@ -193,8 +195,8 @@ def together(seen: NDArray, overlaps: NDArray, model: AmplitudeModel,
         Share of each part in a stamp of unit norm.
     seen : array, shape (T,)
         Matched filter of that stamp.
-    course : array, shape (T,)
-        See :meth:`AmplitudeModel.course`.
+    envelope : array, shape (T,)
+        See :meth:`AmplitudeModel.envelope`.
     """
     coherent = model.is_constant and not model.has_one_modulus
     summed = seen.sum(axis=1, keepdims=True) if coherent else seen
@@ -205,4 +207,4 @@ def together(seen: NDArray, overlaps: NDArray, model: AmplitudeModel,
         shares = -shares
     norms = np.sqrt(np.maximum(np.einsum('i,ijt,j->t', shares, overlaps, shares), 0.0))
     mixture = np.divide(shares[:, None], norms, out=np.zeros(seen.shape), where=norms > 0)
-    return mixture, np.einsum('it,it->t', mixture, seen), model.course(norms)
+    return mixture, np.einsum('it,it->t', mixture, seen), model.envelope(norms)

@@ -22,16 +22,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
-from track_before_detect.solvers.convex.working_set import FIT_GAP, PathSet
+from track_before_detect.solvers.convex.working_set import FIT_GAP, WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
 from track_before_detect.types import Step
 
 # Paths added before the residual is searched again; each is tested on the residual it meets.
 MOST_NEW_PATHS = 256
 # No scene that can be told apart holds more; frames whose noise is far above one would.
 MOST_PATHS = 500
-# Work of all fits of a batch, as a PathSet counts it, after which nothing more is fitted: some
+# Work of all fits of a batch, as a WorkingSet counts it, after which nothing more is fitted: some
 # half a minute of one core. 200 targets of SNR 20 in 256 x 256 pixels take 3e5 and 60 of SNR 30 in
 # 64 x 64 pixels 3e7, but where the noise is far above one there is no end of overlapping paths.
 MOST_WORK = 2e8
@@ -92,7 +92,7 @@ class PursuitResult:
 
     Attributes
     ----------
-    paths : PathSet
+    paths : WorkingSet
         Paths, amplitudes, residual.
     status : str
         ``"converged"`` or ``"iteration_limit"``.
@@ -102,13 +102,13 @@ class PursuitResult:
         Duality gap at the end of the stage t = 1, NaN without one.
     """
 
-    paths: PathSet
+    paths: WorkingSet
     status: str
     history: list[Step]
     gap: float
 
 
-def pursue(search: PathSearch, refiner: Refiner, paths: PathSet, separation: float,
+def pursue(search: PathSearch, refiner: Refiner, paths: WorkingSet, separation: float,
            settings: PursuitSettings, start: Sequence[FoundPath] = ()) -> PursuitResult:
     """Find all paths jointly.
 
@@ -118,7 +118,7 @@ def pursue(search: PathSearch, refiner: Refiner, paths: PathSet, separation: flo
         Finds the best path on a residual.
     refiner : Refiner
         Moves a path off the grid.
-    paths : PathSet
+    paths : WorkingSet
         Starts empty.
     separation : float
         Pixels; new paths of one search end at least this far apart.
@@ -147,7 +147,7 @@ def pursue(search: PathSearch, refiner: Refiner, paths: PathSet, separation: flo
     return PursuitResult(paths, status, history, gap)
 
 
-def duality_gap(paths: PathSet, largest: float) -> float:
+def duality_gap(paths: WorkingSet, largest: float) -> float:
     """Return the duality gap of F_1 at the present amplitudes.
 
     The residual, scaled down until no path passes its weight, is feasible for the dual; one
@@ -155,7 +155,7 @@ def duality_gap(paths: PathSet, largest: float) -> float:
 
     Parameters
     ----------
-    paths : PathSet
+    paths : WorkingSet
         The solution.
     largest : float
         Largest value of any path on the residual.

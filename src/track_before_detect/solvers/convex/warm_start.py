@@ -11,9 +11,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.models.presence import Presence
 from track_before_detect.models.motion.state_graph import StateGraph
-from track_before_detect.solvers.batch_detector import Earlier
+from track_before_detect.models.presence import Presence
+from track_before_detect.solvers.batch_detector import EarlierPaths
 from track_before_detect.solvers.search.path_search import FoundPath
 
 # Grid steps around the first position, and velocities nearest to the mean one of a segment, among
@@ -24,7 +24,7 @@ NEAR_VELOCITIES = 9
 
 
 def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int],
-                   earlier: Earlier, presence: Presence | None = None) -> list[FoundPath]:
+                   earlier: EarlierPaths, presence: Presence | None = None) -> list[FoundPath]:
     """Return the paths of a graph that carry on those of an earlier batch.
 
     Parameters

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from track_before_detect.kernels.psf import psf_stamps as stamp_kernels
 from track_before_detect.kernels.psf.measurement import render_path, whole_norm
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.multi_sensor import PlaneView
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes, objective
 
@@ -25,7 +25,7 @@ from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes, obj
 FIT_GAP = 1e-4
 
 
-class PathSet:
+class WorkingSet:
     """Paths with amplitudes and the residual they leave.
 
     Parameters
@@ -34,7 +34,7 @@ class PathSet:
         Frames of unit noise, masked pixels zero.
     weights : array, shape (T, H, W), (1, H, W) or (0, 0, 0)
         One over the noise of each pixel, zero where masked; of no frames where it is one.
-    psf : Psf or PlaneView
+    psf : Psf or MultiSensor
         What a target looks like.
     threshold : float
         lambda of a path without turns.
@@ -63,7 +63,7 @@ class PathSet:
         Of all fits so far: the sum of the cubes of their members, as a Newton step takes.
     """
 
-    def __init__(self, frames: NDArray, weights: NDArray, psf: Psf | PlaneView,
+    def __init__(self, frames: NDArray, weights: NDArray, psf: Psf | MultiSensor,
                  threshold: float, model: AmplitudeModel, period: int | None = None):
         self.model = model
         # Where the columns of a stamp are found again, itself included.
@@ -74,8 +74,8 @@ class PathSet:
             self._repeats[:, 0] = period * np.arange(-n_repeats, n_repeats + 1)
         self.frames = frames
         self._pixel_weights = np.asarray(weights, np.float32)
-        self._sight = psf.sight()
-        self._whole_norm = whole_norm(self._sight, frames.shape[1:])
+        self._compiled = psf.compiled()
+        self._whole_norm = whole_norm(self._compiled, frames.shape[1:])
         self.threshold = threshold
         self.positions: list[NDArray] = []
         self.costs: list[float] = []
@@ -87,7 +87,7 @@ class PathSet:
         number = complex if model.is_complex else float
         self.matched = np.empty((0, n_frames), number)
         self.weights = np.empty(0)
-        self._courses = np.empty((0, n_frames))
+        self._envelopes = np.empty((0, n_frames))
         self.amplitudes = np.empty((0, n_frames), number)
         # Most paths of a large scene are far apart: only the overlaps of those that meet are
         # held, one row for each pair; row 0, of zeros, stands for all others.
@@ -114,7 +114,7 @@ class PathSet:
         self._stamps.append(stamps)
         self._origins.append(origins)
         self._norms.append(norms)
-        self._courses = np.concatenate([self._courses, self._course(norms)[None]])
+        self._envelopes = np.concatenate([self._envelopes, self._envelope(norms)[None]])
         nothing = np.zeros((1, len(self.frames)), self.matched.dtype)
         self.matched = np.concatenate([self.matched, nothing])
         self.amplitudes = np.concatenate([self.amplitudes, nothing])
@@ -124,21 +124,21 @@ class PathSet:
 
     def move(self, path: int, positions: NDArray, cost: float) -> None:
         """Put a path elsewhere, its amplitudes unchanged."""
-        self._take(path, -1.0)
+        self._apply_fit(path, -1.0)
         self.positions[path] = positions
         self.costs[path] = cost
         self.settled[path] = False
         (self._stamps[path], self._origins[path],
          self._norms[path]) = self._render(positions)
-        self._courses[path] = self._course(self._norms[path])
+        self._envelopes[path] = self._envelope(self._norms[path])
         self.weights[path] = self._weight(self._norms[path], cost)
         self._relate(path)
-        self._take(path, 1.0)
+        self._apply_fit(path, 1.0)
 
     def remove(self, paths: NDArray) -> None:
         """Drop some paths."""
         for path in paths:
-            self._take(path, -1.0)
+            self._apply_fit(path, -1.0)
         keep = np.setdiff1d(np.arange(len(self)), paths)
         self.positions = [self.positions[p] for p in keep]
         self.costs = [self.costs[p] for p in keep]
@@ -146,7 +146,7 @@ class PathSet:
         self._stamps = [self._stamps[p] for p in keep]
         self._origins = [self._origins[p] for p in keep]
         self._norms = [self._norms[p] for p in keep]
-        self._courses = self._courses[keep]
+        self._envelopes = self._envelopes[keep]
         self.matched = self.matched[keep]
         self.amplitudes = self.amplitudes[keep]
         self.weights = self.weights[keep]
@@ -168,14 +168,14 @@ class PathSet:
         problem = self._problem(members)
         amplitudes, converged = fit_amplitudes(self.amplitudes[members], *problem, t_convex,
                                                self.model, self.energy, gap,
-                                               self._courses[members])
-        norms = self.model.norms(amplitudes, self._courses[members])
+                                               self._envelopes[members])
+        norms = self.model.norms(amplitudes, self._envelopes[members])
         return objective(amplitudes, *problem, t_convex, norms), amplitudes, converged
 
     def objective_of(self, members: NDArray, t_convex: float) -> float:
         """Return F_t as far as it depends on some paths, all others fixed."""
         amplitudes = self.amplitudes[members]
-        norms = self.model.norms(amplitudes, self._courses[members])
+        norms = self.model.norms(amplitudes, self._envelopes[members])
         return objective(amplitudes, *self._problem(members), t_convex, norms)
 
     def _problem(self, members: NDArray) -> tuple[NDArray, NDArray, NDArray]:
@@ -226,7 +226,7 @@ class PathSet:
     def objective(self, t_convex: float) -> float:
         """Return F_t, the energy of the data included."""
         fit = np.vdot(self.amplitudes, self.explained()).real
-        norms = self.model.norms(self.amplitudes, self._courses)
+        norms = self.model.norms(self.amplitudes, self._envelopes)
         used = self.weights[norms > 0]
         return float(self.energy + 0.5 * fit - np.vdot(self.amplitudes, self.matched).real
                      + t_convex * np.sum(self.weights * norms)
@@ -246,12 +246,12 @@ class PathSet:
     def without(self, *paths: int) -> Iterator[NDArray]:
         """Lend the frames less the fit of all paths but these."""
         for path in paths:
-            self._take(path, -1.0)
+            self._apply_fit(path, -1.0)
         try:
             yield self.residual
         finally:
             for path in paths:
-                self._take(path, 1.0)
+                self._apply_fit(path, 1.0)
 
     def similarity(self, path: int) -> NDArray:
         """Return the mean overlap with every path while a path is present, shape (P,)."""
@@ -271,7 +271,7 @@ class PathSet:
         By default that is what it meets with the other paths taken off.
         """
         return self.model.statistic(self.seen(path) if seen is None else seen,
-                                    self._courses[path])
+                                    self._envelopes[path])
 
     def value(self, path: int) -> float:
         """Return the value of a path beside all others: its statistic less what it costs."""
@@ -285,18 +285,18 @@ class PathSet:
 
         By default that is what it meets with the other paths taken off.
         """
-        return self.model.best(self.seen(path) if seen is None else seen, self._courses[path])
+        return self.model.best(self.seen(path) if seen is None else seen, self._envelopes[path])
 
     def target_amplitudes(self, path: int) -> NDArray:
         """Return the amplitudes of the target itself, of which a stamp may show a part, (T,).
 
         NaN in a frame that shows nothing of it.
         """
-        shown = self.shown(path)
-        norms = np.where(shown, self._norms[path] / self._whole_norm, 1.0)
-        return np.where(shown, self.amplitudes[path] / norms, np.nan)
+        visible = self.visible(path)
+        norms = np.where(visible, self._norms[path] / self._whole_norm, 1.0)
+        return np.where(visible, self.amplitudes[path] / norms, np.nan)
 
-    def shown(self, path: int) -> NDArray[np.bool_]:
+    def visible(self, path: int) -> NDArray[np.bool_]:
         """Return which frames show something of a path, shape (T,): it is there and not masked."""
         return self._norms[path] > 0
 
@@ -308,15 +308,15 @@ class PathSet:
         stamps, origins, norms = self._render(positions)
         seen = self._seen_by(stamps, origins)
         model = self.model
-        excess = (model.value(model.statistic(seen, self._course(norms)))
+        excess = (model.value(model.statistic(seen, self._envelope(norms)))
                   - model.value(self._weight(norms, cost)))
         return excess > model.grid_level(self.threshold) - model.value(self.threshold)
 
-    def seen_left(self, path: int) -> NDArray:
+    def residual_statistic(self, path: int) -> NDArray:
         """Return the matched filter statistic of the residual along a path, shape (T,)."""
         return self._seen_by(self._stamps[path], self._origins[path])
 
-    def as_one(self, members: NDArray) -> tuple[NDArray, NDArray]:
+    def joint_parts(self, members: NDArray) -> tuple[NDArray, NDArray]:
         """Return some paths as parts of one target, all others fixed.
 
         Returns
@@ -334,7 +334,7 @@ class PathSet:
         """Compute the residual anew, which sheds the rounding of many small changes."""
         self.residual[:] = self.frames
         for path in range(len(self)):
-            self._take(path, 1.0)
+            self._apply_fit(path, 1.0)
 
     def _seen_by(self, stamps, origins):
         """Return the statistic of each frame that stamps see in the residual, (T,)."""
@@ -342,7 +342,7 @@ class PathSet:
         stamp_kernels.correlate(stamps, origins, self.residual, seen)
         return seen
 
-    def _take(self, path, sign):
+    def _apply_fit(self, path, sign):
         """Take the fit of one path off the residual (or put it back)."""
         self._accumulate(path, -sign * self.amplitudes[path])
 
@@ -353,26 +353,26 @@ class PathSet:
                                      self._origins[path] + repeat, amplitudes)
 
     def _render(self, positions):
-        size = 2 * max(optics.half for optics in self._sight.optics) + 1
+        size = 2 * max(optics.half for optics in self._compiled.optics) + 1
         n_frames, height, width = self.frames.shape
         stamps = np.empty((n_frames, size, size))
         origins = np.empty((n_frames, 2), np.int64)
         norms = np.empty(n_frames)
         absent = ~np.isfinite(positions[:, 0])
         there = np.where(absent[:, None], 0.0, positions)
-        render_path(self._sight, there, height, width, self._pixel_weights, stamps, origins,
+        render_path(self._compiled, there, height, width, self._pixel_weights, stamps, origins,
                     norms)
         stamps[absent] = 0.0
         norms[absent] = 0.0
         return stamps, origins, norms
 
-    def _course(self, norms):
-        return self.model.course(self._counted(norms))
+    def _envelope(self, norms):
+        return self.model.envelope(self._counted(norms))
 
     def _weight(self, norms, cost):
         """Return lambda of a path."""
         return self.model.weight(self.threshold,
-                                 cost * self.model.dearness(self._counted(norms)))
+                                 cost * self.model.cost_scale(self._counted(norms)))
 
     def _counted(self, norms):
         """Return n of each frame, see AmplitudeModel: one where all pixels weigh the same.

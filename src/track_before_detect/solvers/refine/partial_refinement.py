@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.models.amplitudes import AmplitudeModel, SIGNED_CONSTANT
-from track_before_detect.models.measurement.multi_sensor import PlaneView
-from track_before_detect.models.presence import Presence
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.motion.state_graph import StateGraph
+from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.refine.refinement import Refiner
 
 # Rounds of positions for an interval and interval for the positions; each gains.
@@ -32,7 +32,7 @@ class PartialRefiner(Refiner):
         Cost of being present.
     """
 
-    def __init__(self, graph: StateGraph, psf: Psf | PlaneView, stamps: NDArray,
+    def __init__(self, graph: StateGraph, psf: Psf | MultiSensor, stamps: NDArray,
                  weights: NDArray, model: AmplitudeModel, presence: Presence):
         super().__init__(graph, psf, stamps, weights, model)
         self._graph = graph
@@ -58,8 +58,8 @@ class PartialRefiner(Refiner):
             inside = slice(first, last + 1)
             price = self._presence.cost(first, last, n_frames)
             stretch = self._stretch(first, last)
-            dearness = stretch * self._dearness(frames[inside], moved[inside])
-            weight = self._model.weight(threshold, price * dearness)
+            cost_scale = stretch * self._cost_scale(frames[inside], moved[inside])
+            weight = self._model.weight(threshold, price * cost_scale)
             part, turns = self._refiner(first, last).refine(
                 frames[inside], moved[inside], turns * stretch, weight, t_convex)
             turns /= stretch
@@ -78,15 +78,15 @@ class PartialRefiner(Refiner):
     def value(self, frames: NDArray, positions: NDArray, cost: float) -> float:
         """Return the value of a path: what it adds up over its frames less its cost."""
         seen, norms = self._seen(frames, positions)
-        statistic = self._model.statistic(seen, self._model.course(norms))
-        return self._model.value(statistic) - cost * self._model.dearness(norms)
+        statistic = self._model.statistic(seen, self._model.envelope(norms))
+        return self._model.value(statistic) - cost * self._model.cost_scale(norms)
 
     def _best_interval(self, frames, positions, now):
         """Return the first and last frame in which a path on ``positions`` gains most."""
         seen, norms = self._seen(frames, positions)
         if not self._model.is_constant:
-            course = self._model.course(norms)
-            return self._presence.best_interval(self._model.best(seen, course)**2)
+            envelope = self._model.envelope(norms)
+            return self._presence.best_interval(self._model.best(seen, envelope)**2)
         products = norms * seen
         if self._model.code == SIGNED_CONSTANT:
             products = products * np.sign(products[now[0]:now[1] + 1].sum())
@@ -136,12 +136,12 @@ class PartialRefiner(Refiner):
         """
         height, width = frames.shape[1:]
         inside = np.all((positions >= 0) & (positions <= (width - 1, height - 1)), axis=1)
-        seen, norms = self._look(frames, np.where(inside[:, None], positions, 0.0))
+        seen, norms = self._evaluate(frames, np.where(inside[:, None], positions, 0.0))
         counted = norms if len(self._weights) else np.ones(len(norms))
         return np.where(inside, seen[:, 0], 0.0), np.where(inside, counted, 0.0)
 
     def _lowers(self, frames, positions, cost, threshold, t_convex):
         """By how much the path lowers F_t, alone on these frames."""
         seen, norms = self._seen(frames, positions)
-        statistic = self._model.statistic(seen, self._model.course(norms))
-        return self.lowers(statistic**2, cost * self._model.dearness(norms), threshold, t_convex)
+        statistic = self._model.statistic(seen, self._model.envelope(norms))
+        return self.lowers(statistic**2, cost * self._model.cost_scale(norms), threshold, t_convex)

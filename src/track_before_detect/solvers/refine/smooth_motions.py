@@ -26,7 +26,7 @@ HIGHEST_DEGREE = 3
 OVERLONG_STEPS = 2.5
 
 
-class Motions(ABC):
+class SmoothMotions(ABC):
     """The motions near a path of a state graph.
 
     Parameters
@@ -85,7 +85,7 @@ class Motions(ABC):
         return change[keep] / elapsed[keep].reshape(-1, *[1] * (values.ndim - 1))
 
 
-class PlaneMotions(Motions):
+class PlaneMotions(SmoothMotions):
     """Motions whose two components are free of each other."""
 
     def __init__(self, graph: StateGraph, stamps: NDArray):
@@ -138,7 +138,7 @@ class PlaneMotions(Motions):
         return self._segment_change(positions)
 
 
-class RangeDopplerMotions(Motions):
+class RangeDopplerMotions(SmoothMotions):
     """Motions over range-Doppler maps: the columns of all frames and one range say all."""
 
     def __init__(self, graph: StateGraph, stamps: NDArray, coupling: RangeDopplerCoupling):
@@ -180,7 +180,7 @@ class RangeDopplerMotions(Motions):
         return self._segment_change(positions[:, 0])
 
 
-def motions_of(graph: StateGraph, stamps: NDArray) -> Motions:
+def motions_of(graph: StateGraph, stamps: NDArray) -> SmoothMotions:
     """Return the motions that belong to a state graph."""
     if graph.coupling is not None:
         return RangeDopplerMotions(graph, stamps, graph.coupling)

@@ -21,18 +21,18 @@ from track_before_detect.models.motion.velocity_candidates import (
     straight_lines,
 )
 from track_before_detect.options import DetectorOptions
+from track_before_detect.parallel import usable_cores
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
     FoundTrajectory,
     median_interval,
 )
-from track_before_detect.parallel import usable_cores
+from track_before_detect.solvers.calibration.threshold import NoiseStudy
+from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.ring.crossings import regularised
 from track_before_detect.solvers.ring.dynamic_programming import extracted
-from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.ring.merit_functions import METHODS
-from track_before_detect.solvers.calibration.threshold import NoiseStudy
 from track_before_detect.types import Progress
 
 # Part of a median interval by which a frame may come early or late.

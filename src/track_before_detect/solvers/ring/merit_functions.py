@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.kernels.ring.passes import first_order, passes as ring, second_order
+from track_before_detect.kernels.ring import first_order, passes, second_order
 from track_before_detect.models.motion.velocity_candidates import (
     FASTEST_SECOND_ORDER,
     half_velocities,
@@ -139,7 +139,7 @@ class _Passes(ABC):
             backward[t % n_planes] = merit[t]
 
         def average(first, n_steps, step, low, high):
-            ring.average(merit, backward, first, n_steps, step, low, high)
+            passes.average(merit, backward, first, n_steps, step, low, high)
 
         self.run(backward, n_frames - 1 - self.memory, -1, -1,
                  lambda first, n_steps, low, high: average(first, n_steps, -1, low, high))

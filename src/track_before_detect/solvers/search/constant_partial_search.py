@@ -2,7 +2,7 @@
 
 The statistic (sum of n h) / |n| is taken over the frames in which a target is there. The longer it
 is there the larger is |n|, so the statistic is not additive even where every frame counts alike:
-the module ``tilts`` finds its largest value by searches in which each frame costs tau n^2.
+the module ``ratio_search`` finds its largest value by searches in which each frame costs tau n^2.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels.search.viterbi import ABSENT
 from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
-from track_before_detect.models.amplitudes import AmplitudeModel, SIGNED_CONSTANT
-from track_before_detect.models.presence import Presence
+from track_before_detect.kernels.search.viterbi import ABSENT
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.motion.state_graph import StateGraph
+from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.search.partial_search import PartialSearch
 from track_before_detect.solvers.search.path_search import FoundPath
 from track_before_detect.solvers.search.position_scores import PositionScores
@@ -41,7 +41,7 @@ class ConstantPartialSearch(PartialSearch):
         super().__init__(graph, psf, shape, model, presence, n_threads)
         assert isinstance(self._scores, PositionScores)
         self._positions = self._scores
-        self._signs = (1, -1) if model.code == SIGNED_CONSTANT else (1,)
+        self._signs = model.signs
         self._price = presence
 
     def best_value(self, frames: NDArray) -> float:

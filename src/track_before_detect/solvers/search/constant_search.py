@@ -4,7 +4,7 @@ With equal norms n of all columns the statistic of a path is the sum of its h ov
 the path search adds up as it is; amplitudes of either sign take one pass for each sign.
 
 Where variance or mask make the norms differ, the statistic (sum of n h) / |n| is not additive, and
-a few searches of sums that are take its place: see the module ``tilts``.
+a few searches of sums that are take its place: see the module ``ratio_search``.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
-from track_before_detect.models.amplitudes import AmplitudeModel, SIGNED_CONSTANT
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
-from track_before_detect.solvers.search.viterbi_table import PathTable
 from track_before_detect.solvers.search.position_scores import PositionScores
 from track_before_detect.solvers.search.ratio_search import best_new, paths_over_tilts
+from track_before_detect.solvers.search.viterbi_table import ViterbiTable
 
 
 class ConstantSearch(PathSearch):
@@ -41,8 +41,8 @@ class ConstantSearch(PathSearch):
         super().__init__(graph, psf, shape, model, n_threads)
         assert isinstance(self._scores, PositionScores)
         self._positions = self._scores
-        self._signs = (1, -1) if model.code == SIGNED_CONSTANT else (1,)
-        self._tables = [self._table, *(PathTable(graph, self.grid_shape, n_threads)
+        self._signs = model.signs
+        self._tables = [self._table, *(ViterbiTable(graph, self.grid_shape, n_threads)
                                        for _ in self._signs[1:])]
 
     def forget(self) -> None:

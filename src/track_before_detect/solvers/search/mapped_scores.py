@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.scores import mapped_scores as mapped_filter
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.multi_sensor import PlaneView
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.solvers.search.position_scores import grid_shape, OverRows
 
 
@@ -18,7 +18,7 @@ class MappedScores:
 
     Parameters
     ----------
-    view : PlaneView
+    view : MultiSensor
         How the frames see the plane.
     model : AmplitudeModel
         Says what a statistic is worth; not one of constant amplitudes.
@@ -26,11 +26,11 @@ class MappedScores:
         Calls a function of first and last row for all rows of the grid.
     """
 
-    def __init__(self, view: PlaneView, model: AmplitudeModel, over_rows: OverRows):
+    def __init__(self, view: MultiSensor, model: AmplitudeModel, over_rows: OverRows):
         self._view = view
         self._model = model
         self._over_rows = over_rows
-        self._sight = view.sight()
+        self._compiled = view.compiled()
         self._weights: NDArray | None = None
         maps = view.maps.reshape(len(view.maps), -1)
         _, kind = np.unique(np.column_stack([view.sensor, maps]), axis=0, return_inverse=True)
@@ -63,7 +63,7 @@ class MappedScores:
                     squares = _frame_last(np.broadcast_to(own**2, pixels.shape))
             self._over_rows(partial(
                 self._fill, scores, which, _frame_last(pixels), squares,
-                self._sight.optics[sensor], self._sight.maps[which[0]], step_px))
+                self._compiled.optics[sensor], self._compiled.maps[which[0]], step_px))
         return scores
 
     def _fill(self, scores, which, pixels, squares, optics, matrix, step_px, first, last):

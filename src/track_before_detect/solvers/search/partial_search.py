@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from track_before_detect.kernels.search import partial_viterbi as partial_search
 from track_before_detect.kernels.search.viterbi import ABSENT
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.multi_sensor import PlaneView
-from track_before_detect.models.presence import Presence
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.motion.state_graph import StateGraph
+from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
 
 
@@ -31,7 +31,7 @@ class PartialSearch(PathSearch):
         Cost of being present.
     """
 
-    def __init__(self, graph: StateGraph, psf: Psf | PlaneView, shape: tuple[int, int],
+    def __init__(self, graph: StateGraph, psf: Psf | MultiSensor, shape: tuple[int, int],
                  model: AmplitudeModel, presence: Presence, n_threads: int = 1):
         super().__init__(graph, psf, shape, model, n_threads)
         self._presence = presence

@@ -16,15 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.multi_sensor import PlaneView
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import Psf
-from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
+from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.solvers.search.mapped_scores import MappedScores
-from track_before_detect.solvers.search.viterbi_table import PathTable
 from track_before_detect.solvers.search.position_scores import grid_shape, PositionScores
 from track_before_detect.solvers.search.sheared_plane import ShearedPlane
 from track_before_detect.solvers.search.streak_scores import StreakScores
+from track_before_detect.solvers.search.viterbi_table import ViterbiTable
 
 NOTHING = np.empty((0, 0, 0), np.float32)
 
@@ -55,7 +55,7 @@ class PathSearch:
     ----------
     graph : StateGraph
         The paths.
-    psf : Psf or PlaneView
+    psf : Psf or MultiSensor
         Its oversampling has to match the step of the graph.
     shape : tuple of int
         (H, W) of the frames, or of the plane that a view looks at.
@@ -65,7 +65,7 @@ class PathSearch:
         Threads that share the rows of the frames.
     """
 
-    def __init__(self, graph: StateGraph, psf: Psf | PlaneView, shape: tuple[int, int],
+    def __init__(self, graph: StateGraph, psf: Psf | MultiSensor, shape: tuple[int, int],
                  model: AmplitudeModel, n_threads: int = 1):
         self.model = model
         self.graph = graph
@@ -74,11 +74,11 @@ class PathSearch:
         self._plane = ShearedPlane(graph, frame_grid) if graph.coupling else None
         self.grid_shape = self._plane.shape if self._plane else frame_grid
         streaks, kind = streaks_of(graph, psf) if isinstance(psf, StreakPsf) else (None, None)
-        self._table = PathTable(graph, self.grid_shape, n_threads, kind)
+        self._table = ViterbiTable(graph, self.grid_shape, n_threads, kind)
         over_rows = (
             (lambda work: work(0, frame_grid[0])) if self._plane else self._table.over_rows)
         self._scores: PositionScores | MappedScores
-        if isinstance(psf, PlaneView):
+        if isinstance(psf, MultiSensor):
             self._scores = MappedScores(psf, model, over_rows)
         elif isinstance(psf, StreakPsf):
             assert streaks is not None

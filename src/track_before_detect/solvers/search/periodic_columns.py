@@ -8,8 +8,8 @@ inside the frame in the middle of the batch, which is far from both ends of the 
 Doppler goes round as well, where it is ambiguous: a target as much faster as the columns span is
 seen in the same column, and another row. Every such speed has columns of its own on the strip, so
 how the row changes with the column holds throughout; but what a target explains in one column has
-then to be taken off all others of the same Doppler, see the class ``PathSet``. Speeds by which the
-rows of a batch differ by less than about one are mistaken for each other at times.
+then to be taken off all others of the same Doppler, see the class ``WorkingSet``. Speeds by which
+the rows of a batch differ by less than about one are mistaken for each other at times.
 
 Motion over bearing is that of the plane of bearing and range: nearly constant velocity in bins per
 second, with the acceleration bound in bins. A straight course past the sensor is a curve in this

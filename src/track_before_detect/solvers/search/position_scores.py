@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.scores import matched_filter
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.multi_sensor import PlaneView
+from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import Psf
 
 NOTHING = np.empty((0, 0), np.float32)
 OverRows = Callable[[Callable[[int, int], None]], object]
 
 
-def grid_shape(psf: Psf | PlaneView, shape: tuple[int, int]) -> tuple[int, int]:
+def grid_shape(psf: Psf | MultiSensor, shape: tuple[int, int]) -> tuple[int, int]:
     """Return the size (Y, X) of the position grid in frames of size (H, W)."""
     return psf.oversampling * (shape[0] - 1) + 1, psf.oversampling * (shape[1] - 1) + 1
 

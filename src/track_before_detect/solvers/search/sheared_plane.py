@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels.search.viterbi import ABSENT
 from track_before_detect.kernels.search.shear import shear_rows
+from track_before_detect.kernels.search.viterbi import ABSENT
 from track_before_detect.models.motion.state_graph import StateGraph
 
 

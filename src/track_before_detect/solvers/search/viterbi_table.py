@@ -16,7 +16,11 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.search import (
     viterbi as path_search,
+)
+from track_before_detect.kernels.search import (
     viterbi_backtrack as path_trace,
+)
+from track_before_detect.kernels.search import (
     viterbi_update as path_update,
 )
 from track_before_detect.kernels.search.viterbi import ABSENT, BLOCKS, VECTOR
@@ -31,7 +35,7 @@ CACHE_LINE = 16
 NO_STATES = np.empty(0, np.float32)
 
 
-class PathTable:
+class ViterbiTable:
     """The best path to every state of a graph.
 
     Parameters
@@ -70,7 +74,7 @@ class PathTable:
         self._scores = NO_STATES
         self._largest = np.empty((0, 0), np.float32)
         self._tables: list[NDArray] = []
-        # Which states are older than the scores, see the module path_update.
+        # Which states are older than the scores, see the module viterbi_update.
         self._stale: list[NDArray] = []
         self._stale_last = np.empty(0, np.uint64)
         self._filled = False

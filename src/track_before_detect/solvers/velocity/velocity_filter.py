@@ -21,22 +21,22 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.kernels.amplitude_codes import CONSTANT, SIGNED_CONSTANT
-from track_before_detect.kernels.psf.gauss_newton import climb
+from track_before_detect.kernels.psf.gauss_newton import maximise_statistic
 from track_before_detect.kernels.psf.measurement import whole_norm
 from track_before_detect.kernels.psf.psf_stamps import accumulate, render, statistic_and_slope
-from track_before_detect.models.measurement.psf import psf_of
 from track_before_detect.models.motion.velocity_grid import velocity_grid, VelocityGrid
+from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
+from track_before_detect.parallel import usable_cores
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
     FoundTrajectory,
     median_interval,
 )
-from track_before_detect.parallel import usable_cores
+from track_before_detect.solvers.calibration.threshold import CROP_PX, NoiseStudy
 from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.velocity.shift_and_stack import VelocityStack
-from track_before_detect.solvers.calibration.threshold import CROP_PX, NoiseStudy
 from track_before_detect.types import Progress, Step
 
 _LOG = logging.getLogger(__name__)
@@ -232,10 +232,10 @@ class _Batch:
 
     def __init__(self, frames, weights, psf, stack, signed):
         self._psf = psf
-        self._sight = psf.sight(for_climbing=True)
-        self._optics = self._sight.optics[0]
+        self._compiled = psf.compiled(with_curvature=True)
+        self._optics = self._compiled.optics[0]
         self._limits = psf.limits(frames.shape[1:])
-        self.whole_norm = whole_norm(self._sight, frames.shape[1:])
+        self.whole_norm = whole_norm(self._compiled, frames.shape[1:])
         self._model = SIGNED_CONSTANT if signed else CONSTANT
         valid = np.isfinite(frames)
         self._residual = np.ascontiguousarray(np.where(valid, frames, 0), np.float32)
@@ -277,8 +277,8 @@ class _Batch:
         basis = np.zeros((part.stop - part.start, 2, 2 * columns.shape[1]))
         basis[:, 0, :columns.shape[1]] = basis[:, 1, columns.shape[1]:] = columns[part]
         moved = start.positions[part].copy()
-        climb(moved, basis, self._sight, self._limits, self._residual[part], self._weights[part],
-              self._model, MOST_STEPS)
+        maximise_statistic(moved, basis, self._compiled, self._limits, self._residual[part],
+                           self._weights[part], self._model, MOST_STEPS)
         fit = np.linalg.lstsq(columns[part], moved, rcond=None)[0]
         velocity = fit[1] / scale if len(fit) > 1 else np.zeros(2)
         grid = self.stack.grid

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.studies.compare.runs import SCENES
 from track_before_detect.evaluation.metrics.roc import Roc
+from track_before_detect.evaluation.studies.compare.runs import SCENES
 
 
 def draw_found(figure: Any, means: NDArray, snrs: Sequence[float], names: Sequence[str],

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.evaluation.metrics.gospa import trajectory_gospa
 from track_before_detect.evaluation.metrics.matching import match_trajectories
+from track_before_detect.evaluation.metrics.track_metrics import track_quality
 from track_before_detect.evaluation.studies.parallel.scenes import SIX_STATES
 from track_before_detect.evaluation.studies.ring.scenes import ring_multi
-from track_before_detect.evaluation.metrics.track_metrics import track_quality
-from track_before_detect.evaluation.metrics.gospa import trajectory_gospa
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.batch_detector import BatchDetector
@@ -120,7 +120,7 @@ def _detector(options) -> BatchDetector:
     return DETECTOR_CLASSES[made.detector](made)
 
 
-def _course(rng, turn_radius=np.inf, speed=None):
+def _envelope(rng, turn_radius=np.inf, speed=None):
     """Return a path about the origin at constant speed, shape (T, 2), and its heading."""
     heading = rng.uniform(0, 2 * np.pi)
     speed = rng.uniform(0.2, 1.0) if speed is None else speed
@@ -143,20 +143,20 @@ def _placed(rng, paths):
 
 
 def _line(rng):
-    return _placed(rng, [_course(rng)[0]])
+    return _placed(rng, [_envelope(rng)[0]])
 
 
 def _arc(rng):
-    return _placed(rng, [_course(rng, RADIUS_PX)[0]])
+    return _placed(rng, [_envelope(rng, RADIUS_PX)[0]])
 
 
 def _parallel(rng):
-    path, heading = _course(rng)
+    path, heading = _envelope(rng)
     return _placed(rng, [path, path + APART_PX * _direction(heading + np.pi / 2)])
 
 
 def _crossing(rng):
-    path, heading = _course(rng, speed=0.8)
+    path, heading = _envelope(rng, speed=0.8)
     times = np.arange(USUAL[0])[:, None] - 0.5 * (USUAL[0] - 1)
     return _placed(rng, [path, 0.8 * times * _direction(heading + np.pi / 2)])
 

@@ -8,23 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.evaluation.studies.compare import (
-    details as compare_details,
-    pictures as compare_pictures,
-    runs as compare_runs,
-)
-from track_before_detect.evaluation.studies.compare.details import Standing
-from track_before_detect.evaluation.studies.compare.runs import SCENES
-from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
 from track_before_detect.evaluation.engine.report import (
     markdown_table,
     Quantity,
     share,
     SuiteResult,
 )
-from track_before_detect.evaluation.metrics.roc import roc
 from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
+from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
+from track_before_detect.evaluation.metrics.roc import roc
+from track_before_detect.evaluation.studies.compare import (
+    details as compare_details,
+)
+from track_before_detect.evaluation.studies.compare import (
+    pictures as compare_pictures,
+)
+from track_before_detect.evaluation.studies.compare import (
+    runs as compare_runs,
+)
+from track_before_detect.evaluation.studies.compare.details import Standing
+from track_before_detect.evaluation.studies.compare.runs import SCENES
 from track_before_detect.options import DetectorOptions, DETECTORS
 from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
 

@@ -8,6 +8,9 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation.engine.report import Quantity, SuiteResult
+from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.engine.runs import checked_runs, run_seeds
 from track_before_detect.evaluation.metrics.confidence import (
     bootstrap_interval,
     poisson_interval,
@@ -22,9 +25,6 @@ from track_before_detect.evaluation.studies.detection.runs import (
     Run,
     TARGETS,
 )
-from track_before_detect.evaluation.engine.report import Quantity, SuiteResult
-from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.engine.runs import checked_runs, run_seeds
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.tracking.pipeline import TrackingPipeline
 

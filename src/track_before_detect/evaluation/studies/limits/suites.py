@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.studies.limits import runs as limit_runs
+from track_before_detect.evaluation.engine.report import Quantity, share, SuiteResult
+from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
 from track_before_detect.evaluation.metrics.confidence import bootstrap_interval, wilson_interval
+from track_before_detect.evaluation.studies.limits import runs as limit_runs
 from track_before_detect.evaluation.studies.limits.runs import (
     ACCURACY_PX,
     DIM_PX,
     MODELS,
     N_FRAMES,
 )
-from track_before_detect.evaluation.engine.report import Quantity, share, SuiteResult
-from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.convex.detector import ConvexDetector
 

@@ -7,12 +7,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.studies.parallel import (
-    runs as parallel_runs,
-    scenes as parallel_scenes,
-)
-from track_before_detect.evaluation.metrics.confidence import bootstrap_interval, wilson_interval
-from track_before_detect.evaluation.studies.parallel.runs import METHODS, STAMPS
 from track_before_detect.evaluation.engine.report import (
     markdown_table,
     Quantity,
@@ -21,6 +15,14 @@ from track_before_detect.evaluation.engine.report import (
 )
 from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
+from track_before_detect.evaluation.metrics.confidence import bootstrap_interval, wilson_interval
+from track_before_detect.evaluation.studies.parallel import (
+    runs as parallel_runs,
+)
+from track_before_detect.evaluation.studies.parallel import (
+    scenes as parallel_scenes,
+)
+from track_before_detect.evaluation.studies.parallel.runs import METHODS, STAMPS
 from track_before_detect.models.motion.transition_sets import directional_sets
 
 SNRS_DB = tuple(range(4, 16))

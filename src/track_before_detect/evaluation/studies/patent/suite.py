@@ -10,11 +10,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.evaluation.engine.report import Quantity, SuiteResult
+from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.engine.runs import checked_runs, run_seeds
+from track_before_detect.evaluation.metrics.confidence import wilson_interval
 from track_before_detect.evaluation.studies.patent import (
     pictures as patent_pictures,
+)
+from track_before_detect.evaluation.studies.patent import (
     runs as patent_runs,
 )
-from track_before_detect.evaluation.metrics.confidence import wilson_interval
 from track_before_detect.evaluation.studies.patent.scenes import (
     COMBINATORIAL,
     CONTINUATION,
@@ -28,9 +33,6 @@ from track_before_detect.evaluation.studies.patent.scenes import (
     N_FRAMES,
     WIDTH_PX,
 )
-from track_before_detect.evaluation.engine.report import Quantity, SuiteResult
-from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.engine.runs import checked_runs, run_seeds
 from track_before_detect.options import DEFAULT_CONTINUATION, DetectorOptions
 from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
-from track_before_detect.evaluation.metrics.matching import match_trajectories
 from track_before_detect.evaluation.engine.report import Quantity, share, SuiteResult
 from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
+from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
+from track_before_detect.evaluation.metrics.matching import match_trajectories
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import SCENARIOS, simulate
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.convex.detector import ConvexDetector
 
 SCENE = SCENARIOS['range_doppler']
 RATE = 0.05

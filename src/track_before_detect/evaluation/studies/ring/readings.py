@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
 from track_before_detect.evaluation.benchmarks.numpy_merit import Padded
-from track_before_detect.evaluation.metrics.paper_metrics import SAME_POINT_PX
 from track_before_detect.evaluation.engine.report import markdown_table
+from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
+from track_before_detect.evaluation.metrics.paper_metrics import SAME_POINT_PX
 from track_before_detect.evaluation.studies.ring.scenes import (
     point_frames,
     RING_SIDE_PX,

@@ -10,14 +10,20 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.evaluation.benchmarks.dp import PAPER_MS
+from track_before_detect.evaluation.engine.report import markdown_table, Quantity, SuiteResult
+from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
+from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
 from track_before_detect.evaluation.studies.ring import (
     pictures as ring_pictures,
+)
+from track_before_detect.evaluation.studies.ring import (
     readings as ring_readings,
+)
+from track_before_detect.evaluation.studies.ring import (
     runs as ring_runs,
 )
-from track_before_detect.evaluation.benchmarks.dp import PAPER_MS
-from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
-from track_before_detect.evaluation.engine.report import markdown_table, Quantity, SuiteResult
 from track_before_detect.evaluation.studies.ring.scenes import (
     MULTI_TARGETS,
     MULTI_V_MAX,
@@ -27,8 +33,6 @@ from track_before_detect.evaluation.studies.ring.scenes import (
     RING_SIDE_PX,
     SINGLE_V_MAX,
 )
-from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
 from track_before_detect.models.motion.velocity_candidates import straight_lines, whole_velocities
 from track_before_detect.solvers.ring.dynamic_programming import several_targets
 from track_before_detect.solvers.ring.merit_functions import merit_functions, METHODS

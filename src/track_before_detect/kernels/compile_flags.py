@@ -1,0 +1,25 @@
+"""How the loops are compiled: what the compiler may assume of their numbers.
+
+All release the interpreter lock, so that plain threads share their work, and are kept on disk.
+"""
+
+from typing import Any
+
+# As the standard of floating point has it, with Python's errors.
+EXACT: dict[str, Any] = {'nogil': True, 'cache': True}
+# A division by zero gives infinity or NaN, as in NumPy, and is not checked for.
+UNCHECKED: dict[str, Any] = {**EXACT, 'error_model': 'numpy'}
+
+_FINITE = {'nnan', 'ninf', 'nsz'}
+# Numbers are finite and the sign of zero is no matter; the order of operations stays as it is
+# written, so that equal sums are equal to the last bit.
+FINITE: dict[str, Any] = {**EXACT, 'fastmath': _FINITE}
+# Products and sums may be fused as well.
+FUSED: dict[str, Any] = {**EXACT, 'fastmath': _FINITE | {'contract'}}
+FUSED_UNCHECKED: dict[str, Any] = {**UNCHECKED, 'fastmath': _FINITE | {'contract'}}
+# Quotients and roots may be approximate.
+APPROXIMATE: dict[str, Any] = {**UNCHECKED, 'fastmath': _FINITE | {'contract', 'arcp', 'afn'}}
+# Sums may be reordered, which lets them run on several lanes at once.
+REORDERED: dict[str, Any] = {**EXACT, 'fastmath': {'reassoc', 'contract'}}
+REORDERED_UNCHECKED: dict[str, Any] = {**UNCHECKED, 'fastmath': {'reassoc', 'contract'}}
+REORDERED_FINITE: dict[str, Any] = {**EXACT, 'fastmath': _FINITE | {'contract', 'reassoc'}}
