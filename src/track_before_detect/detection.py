@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.tracking.recording import detect_recording
-from track_before_detect.tracking.sensors import Sensor, SensorArray, SensorPipeline
+from track_before_detect.tracking.sensor_pipeline import SensorPipeline
+from track_before_detect.tracking.sensors import Sensor, SensorArray
 from track_before_detect.types import DetectionResult, Progress
 
 

@@ -30,6 +30,11 @@ class FrameBatch:
     stamps: NDArray[np.float64]
     frame_indices: NDArray[np.int64]
 
+    @classmethod
+    def of(cls, frames: NDArray, stamps: NDArray) -> FrameBatch:
+        """Return the batch of a recording that it is all of."""
+        return cls(frames, stamps, np.arange(len(frames)))
+
     def __len__(self) -> int:
         return len(self.frames)
 

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from track_before_detect import detect_sensors, geometry, Sensor
+from track_before_detect import geometry, Sensor
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.tracking import pipeline as pipelines
-from track_before_detect.tracking import sensors as several
+from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.previous_batch import map_previous_batch
+from track_before_detect.tracking.sensor_pipeline import SensorPipeline
+from track_before_detect.tracking.sensors import SensorArray
 from track_before_detect.types import FrameBatch, Trajectory
 
 LENGTH, HOP = 14, 7
@@ -18,20 +19,21 @@ LENGTH, HOP = 14, 7
 class Spy(ConvexDetector):
     """Keeps what each batch was told and what it found."""
 
-    seen: list = []
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.seen = []
 
-    def detect_weighted(self, *arguments):
-        result = super().detect_weighted(*arguments)
-        Spy.seen.append((self.earlier, result.found))
+    def detect(self, batch, weights=None, earlier=None, progress=None):
+        result = super().detect(batch, weights, earlier, progress)
+        self.seen.append((earlier, result.found))
         return result
 
 
-@pytest.fixture
-def spy(monkeypatch):
-    monkeypatch.setitem(pipelines.DETECTOR_CLASSES, 'convex', Spy)
-    monkeypatch.setitem(several.DETECTORS, 'convex', Spy)
-    monkeypatch.setattr(Spy, 'seen', [])
-    return Spy
+class Forgetful(ConvexDetector):
+    """Begins every batch afresh."""
+
+    def detect(self, batch, weights=None, earlier=None, progress=None):
+        return super().detect(batch, weights, None, progress)
 
 
 def batches(frames, hop=HOP):
@@ -69,7 +71,7 @@ def test_positions_of_the_common_frames_are_taken_to_the_plane_of_the_batch():
     assert map_previous_batch([], np.arange(6), maps) is None
 
 
-def test_a_batch_of_a_moving_camera_is_told_in_its_own_plane(spy):
+def test_a_batch_of_a_moving_camera_is_told_in_its_own_plane():
     rng = np.random.default_rng(2)
     scene = rng.normal(0, 6, (90, 120))
     frames = rng.normal(0, 0.5, (28, 50, 60)).astype(np.float32)
@@ -79,7 +81,8 @@ def test_a_batch_of_a_moving_camera_is_told_in_its_own_plane(spy):
         add_target(frame, 40 - 0.4 * t, 25 - 0.2 * t, 1.0, 12.0)
     options = DetectorOptions(registration='translation', background='temporal_median',
                               noise='robust', threshold=25.0)
-    pipeline = pipelines.TrackingPipeline(options)
+    spy = Spy(options)
+    pipeline = TrackingPipeline(options, detector=spy)
     for batch in batches(frames):
         pipeline.process(batch)
     distances = told_and_found(spy.seen)
@@ -87,14 +90,18 @@ def test_a_batch_of_a_moving_camera_is_told_in_its_own_plane(spy):
     assert max(distances) < 1.0
 
 
-def test_sensors_are_told_on_their_common_plane(spy):
+def test_sensors_are_told_on_their_common_plane():
     rng = np.random.default_rng(3)
     frames = rng.standard_normal((28, 30, 34)).astype(np.float32)
     for t, frame in enumerate(frames):
         add_target(frame, 8 + 0.6 * t, 12.0, 1.0, 7.0)
     shifted = [[1.0, 0, -5], [0, 1, 7]]
-    detect_sensors([Sensor(frames, np.arange(28.0), affine=shifted)], threshold=12.0,
-                   batch_length=LENGTH, hop=HOP)
+    options = DetectorOptions(threshold=12.0)
+    array = SensorArray([Sensor(frames, np.arange(28.0), affine=shifted)], options)
+    spy = Spy(options, array.measurement)
+    pipeline = SensorPipeline(array, options, spy)
+    for batch in batches(frames):
+        pipeline.process(batch)
     distances = told_and_found(spy.seen)
     assert len(distances) == 2
     assert max(distances) < 1.0
@@ -102,7 +109,7 @@ def test_sensors_are_told_on_their_common_plane(spy):
 
 @pytest.mark.parametrize('presence', ['full', 'partial'])
 @pytest.mark.parametrize('seed', [1, 2])
-def test_a_stream_gives_what_its_batches_give_alone(monkeypatch, seed, presence):
+def test_a_stream_gives_what_its_batches_give_alone(seed, presence):
     rng = np.random.default_rng(seed)
     frames = rng.standard_normal((49, 40, 40)).astype(np.float32)
     for t, frame in enumerate(frames):
@@ -111,10 +118,9 @@ def test_a_stream_gives_what_its_batches_give_alone(monkeypatch, seed, presence)
             add_target(frame, 30 - 0.5 * t, 33.0, 1.0, 5.0)
     # So low that noise passes at times.
     options = DetectorOptions(threshold=7.0 if presence == 'full' else 7.4, presence=presence)
-    warm = pipelines.TrackingPipeline(options)
+    warm = TrackingPipeline(options)
     together = [warm.process(batch).trajectories for batch in batches(frames)]
-    monkeypatch.setattr(pipelines, 'map_previous_batch', lambda *_: None)
-    cold = pipelines.TrackingPipeline(options)
+    cold = TrackingPipeline(options, detector=Forgetful(options))
     alone = [cold.process(batch).trajectories for batch in batches(frames)]
     for first, second in zip(together, alone, strict=True):
         assert len(first) == len(second)
@@ -123,11 +129,13 @@ def test_a_stream_gives_what_its_batches_give_alone(monkeypatch, seed, presence)
                        for other in first) < 0.5
 
 
-def test_after_a_reset_a_batch_is_told_nothing(spy):
+def test_after_a_reset_a_batch_is_told_nothing():
     frames = np.random.default_rng(4).standard_normal((28, 30, 30)).astype(np.float32)
     for frame in frames:
         add_target(frame, 15.0, 15.0, 1.0, 7.0)
-    pipeline = pipelines.TrackingPipeline(DetectorOptions(threshold=12.0))
+    options = DetectorOptions(threshold=12.0)
+    spy = Spy(options)
+    pipeline = TrackingPipeline(options, detector=spy)
     for batch in batches(frames):
         pipeline.process(batch)
         pipeline.reset()

@@ -1,5 +1,7 @@
 """Several sensors find together, on one plane, what they see through maps of their own."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -81,12 +83,12 @@ def test_one_sensor_as_the_plane_finds_what_the_plain_call_finds():
 
 def test_statistics_of_noise_have_unit_variance_through_the_maps():
     array = SensorArray(sensors(0, 0.0), DetectorOptions(amplitudes='signed'))
-    view = array.view(np.arange(len(array)))
+    view = array.measurement
     detector = ConvexDetector(DetectorOptions(amplitudes='signed'), view)
     search = PathSearch(detector.graph(array.stamps, view.shape), view, view.shape,
                         detector.model)
     rng = np.random.default_rng(5)
-    noise = rng.standard_normal((6, len(array), *view.frame_shape), dtype=np.float32)
+    noise = rng.standard_normal((6, len(array), *view.frame_shape(view.shape)), dtype=np.float32)
     scores = np.array([search.scores(frames) for frames in noise])
     y, x = np.mgrid[:scores.shape[2], :scores.shape[3]] / view.oversampling
     for sensor, (height, width) in enumerate(SHAPES):
@@ -168,7 +170,8 @@ def good(**changes):
 @pytest.mark.parametrize(('made', 'words'), [
     (lambda: [], 'at least one'),
     (lambda: [good(frames=np.zeros((9, 9)))], 'frames of sensor 0'),
-    (lambda: [good(), good(frames=np.zeros((3, 9, 9), complex))], 'sensor 1 must hold real'),
+    (lambda: [good(), good(frames=np.zeros((3, 9, 9), complex))], 'all hold real frames or'),
+    (lambda: [good(), good(variance='x.csv')], 'sensor 1: variance must be a file'),
     (lambda: [good(stamps=[0, 1])], 'stamps of sensor 0'),
     (lambda: [good(stamps=[0, 2, 1])], 'increase, got 2 s and then 1 s at frame 2'),
     (lambda: [good(stamps=[0, np.nan, 1])], 'stamps of sensor 0 must be finite, got nan'),
@@ -200,11 +203,61 @@ def test_sensors_that_cannot_be_used_are_refused_in_one_sentence(made, words):
     ({'detector': 'mff_dp'}, 'detector'),
     ({'registration': 'affine'}, 'registration'),
     ({'amplitude_model': 'constant'}, 'amplitude_model'),
-    ({'presence': 'partial'}, 'presence'),
-    ({'amplitudes': 'complex'}, 'amplitudes'),
+    ({'exposure_s': 0.1}, 'exposure_s'),
     ({'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 1.0}, 'motion_model'),
     ({'motion_model': 'range_bearing'}, 'motion_model'),
 ])
 def test_options_that_several_sensors_cannot_honour_are_refused(options, words):
     with pytest.raises(ParameterError, match=f'{words} must'):
         detect_sensors([good(), good()], **options)
+
+
+def test_a_target_that_enters_late_is_found_by_two_sensors():
+    pair = sensors(4, 6.0)
+    for sensor in pair:
+        rng = np.random.default_rng(6)
+        sensor.frames[:4] = sensor.noise_sigma * rng.standard_normal(sensor.frames[:4].shape)
+    [found] = detect_sensors(pair, threshold=9, presence='partial').trajectories
+    present = np.isfinite(found.positions[:, 0])
+    assert not present[:6].any() and present[9:].all()
+    np.testing.assert_allclose(found.positions[present], place(found.stamps)[present], atol=1.0)
+
+
+def test_complex_frames_of_two_sensors_are_searched_together():
+    rng = np.random.default_rng(8)
+    pair = []
+    for sensor in sensors(5, 6.0, noise=0.0):
+        noise = (rng.standard_normal((*sensor.frames.shape, 2)) @ [1, 1j]) * 0.5**0.5
+        phases = np.exp(2j * np.pi * rng.uniform(size=(N_FRAMES, 1, 1)))
+        pair.append(dataclasses.replace(
+            sensor, frames=sensor.frames * phases + sensor.noise_sigma * noise))
+    [found] = detect_sensors(pair, threshold=9, amplitudes='complex').trajectories
+    np.testing.assert_allclose(found.positions, place(found.stamps), atol=1.0)
+    assert np.iscomplexobj(found.amplitudes)
+    np.testing.assert_allclose(np.abs(found.amplitudes[::2]).mean(), 6, rtol=0.2)
+
+
+def test_variance_and_mask_of_a_sensor_are_those_of_its_own_pixels():
+    first, second = sensors(6, 6.0)
+    noisy = np.ones(SHAPES[0])
+    noisy[:, 20:] = 25.0
+    rng = np.random.default_rng(9)
+    louder = first.frames + rng.standard_normal(first.frames.shape) * np.sqrt(noisy - 1)
+    dead = np.zeros((N_FRAMES, *SHAPES[1]), bool)
+    dead[:, 5, 5] = True
+    broken = second.frames.copy()
+    broken[:, 5, 5] = 1e6
+    told = [dataclasses.replace(first, frames=louder, variance=noisy),
+            dataclasses.replace(second, frames=broken, mask=dead)]
+    [found] = detect_sensors(told, threshold=9).trajectories
+    np.testing.assert_allclose(found.positions, place(found.stamps), atol=1.0)
+    untold = detect_sensors([dataclasses.replace(told[0], variance=None), second],
+                            threshold=9, max_speed_px_s=0.1)
+    assert any(np.nanmin(t.positions[:, 0]) > 20 for t in untold.trajectories)
+
+
+def test_a_variance_of_another_shape_names_what_was_expected():
+    first, second = sensors(6, 6.0)
+    with pytest.raises(DataError, match='variance must have the shape'):
+        detect_sensors([first, dataclasses.replace(second, variance=np.ones((3, 3)))],
+                       threshold=9)

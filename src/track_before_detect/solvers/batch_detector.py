@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.calibration.threshold import NoiseStudy, threshold_for
-from track_before_detect.types import Progress, Step
+from track_before_detect.solvers.calibration.noise_study import NoiseStudy
+from track_before_detect.solvers.calibration.threshold import threshold_for
+from track_before_detect.types import FrameBatch, Progress, Step
 
 # Relative difference of frame intervals that share a calibration.
 SAME_INTERVAL = 0.2
@@ -96,7 +97,6 @@ class BatchDetector(ABC):
 
     def __init__(self, options: DetectorOptions):
         self.options = options
-        self.earlier: EarlierPaths | None = None
         if not self.takes_any_psf:
             for name, plain in (('psf', None), ('psf_model', 'gaussian')):
                 if getattr(options, name) != plain:
@@ -134,13 +134,6 @@ class BatchDetector(ABC):
         known.append((interval, threshold))
         return threshold
 
-    def max_speed(self, stamps: NDArray) -> float:
-        """Return the largest speed that is searched, px/s."""
-        if self.options.motion_model == 'static' or len(stamps) == 1:
-            return 0.0
-        speed = self.options.max_speed_px_s
-        return 1.0 / median_interval(stamps) if speed is None else speed
-
     def check_kind(self, frames: NDArray) -> None:
         """Refuse complex frames for real amplitudes, and real ones for complex amplitudes."""
         if np.iscomplexobj(frames) != (self.options.amplitudes == 'complex'):
@@ -162,38 +155,44 @@ class BatchDetector(ABC):
         """
 
     @abstractmethod
-    def detect(self, frames: NDArray, stamps: NDArray,
+    def detect(self, batch: FrameBatch, weights: NDArray | None = None,
+               earlier: EarlierPaths | None = None,
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories.
 
         Parameters
         ----------
-        frames : float32 array, shape (T, H, W)
-            Frames of unit noise; NaN where masked.
-        stamps : array, shape (T,)
-            Seconds.
+        batch : FrameBatch
+            Frames of unit noise, float32 or complex64; NaN where masked.
+        weights : float32 array, shape (T, H, W) or (1, H, W), optional
+            One over the noise that each pixel had before it was scaled to one, zero where masked;
+            all the same unless given.
+        earlier : EarlierPaths, optional
+            Where targets of the batch before are in this one; a detector that begins afresh takes
+            no notice.
         progress : callable, optional
             Told of a calibration.
         """
-
-    def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
-                        progress: Progress | None = None) -> BatchResult:
-        """Find the trajectories where the noise differs between pixels.
-
-        A detector without ``weighs_pixels`` looks for targets as if it did not.
-
-        Parameters
-        ----------
-        frames, stamps, progress
-            As in :meth:`detect`.
-        weights : float32 array, shape (T, H, W) or (1, H, W), or None
-            One over the noise that each pixel had before it was scaled to one, zero where masked;
-            None where all had the same.
-        """
-        return self.detect(frames, stamps, progress)
 
 
 def median_interval(stamps: NDArray) -> float:
     """Return the median interval of stamps (s) that differ, 1 s for a single one."""
     moments = np.unique(stamps)
     return float(np.median(np.diff(moments))) if len(moments) > 1 else 1.0
+
+
+def max_speed(options: DetectorOptions, stamps: NDArray) -> float:
+    """Return the largest speed that the options ask for in frames taken at ``stamps``, px/s."""
+    if options.motion_model == 'static' or len(stamps) == 1:
+        return 0.0
+    speed = options.max_speed_px_s
+    return 1.0 / median_interval(stamps) if speed is None else speed
+
+
+def searched_speed(options: DetectorOptions, stamps: NDArray, shape: tuple[int, int]) -> float:
+    """Return the largest speed that can be seen in frames (H, W), px/s.
+
+    A target that crosses the frame in one interval is as fast as can be seen, and the turns that
+    come with a larger speed would take for ever to search.
+    """
+    return min(max_speed(options, stamps), float(np.hypot(*shape)) / median_interval(stamps))

@@ -41,12 +41,12 @@ class GreedyDetector(PathDetector):
             added = len(paths) - 1
             seen = paths.seen(added)
             paths.assign(np.array([added]), paths.best(added)[None])
-            present = self.present(path.positions, seen)
+            present = self.scale.present(path.positions, seen)
             visible = present & paths.visible(added)
             found.append(FoundTrajectory(
                 np.where(present[:, None], path.positions, np.nan),
                 np.where(present, paths.target_amplitudes(added), np.nan),
-                self.statistic(path.value, len(seen)), model.snr(seen[visible])))
+                self.scale.statistic(path.value, len(seen)), model.snr(seen[visible])))
         found.sort(key=lambda trajectory: -trajectory.statistic)
-        threshold = self.statistic(model.value(paths.threshold), len(task.times))
+        threshold = self.scale.statistic(model.value(paths.threshold), len(task.times))
         return BatchResult(found, threshold, status, history, float('nan'))

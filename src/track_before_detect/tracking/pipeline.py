@@ -51,11 +51,14 @@ class TrackingPipeline:
         What to look for and how.
     earlier : TrackingPipeline, optional
         Pipeline that this one takes over from, with the identities it knows.
+    detector : BatchDetector, optional
+        The detector that the options name unless given.
     """
 
-    def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None):
+    def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None,
+                 detector: BatchDetector | None = None):
         self._options = options
-        self._detector = DETECTOR_CLASSES[options.detector](options)
+        self._detector = detector or DETECTOR_CLASSES[options.detector](options)
         self._stitcher: Stitcher = (
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []
@@ -107,10 +110,10 @@ class TrackingPipeline:
         _check(batch)
         prepared = prepare(batch, self._options)
         self._check_scale(prepared.frames[len(batch) // 2])
-        self._detector.earlier = map_previous_batch(
-            self._before, prepared.frame_indices, prepared.maps)
-        result = self._detector.detect_weighted(
-            prepared.frames, prepared.stamps, prepared.weights, progress)
+        earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
+        result = self._detector.detect(
+            FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices),
+            prepared.weights, earlier, progress)
         weighted = prepared.weights is not None and self._detector.weighs_pixels
         unit = np.array(prepared.unit) if weighted else prepared.noise_level
         period = self._period(prepared)
@@ -163,13 +166,13 @@ class TrackingPipeline:
         frames[:, 10:13, 10:13] += 8
         if options.amplitudes == 'complex':
             frames = frames.astype(np.complex64)
-        stamps = np.arange(8.0)
+        batch = FrameBatch.of(frames, np.arange(8.0))
         detector = DETECTOR_CLASSES[options.detector](options)
-        detector.detect(frames, stamps)
+        detector.detect(batch)
         if progress is not None:
             progress('compiling', 0.5)
         frames[:, 0, 0] = np.nan
-        detector.detect(frames, stamps)
+        detector.detect(batch)
 
 
 def _check(batch):

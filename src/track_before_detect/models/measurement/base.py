@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement
+from track_before_detect.models.motion.state_graph import StateGraph
 
 
 class MeasurementModel(Protocol):
@@ -31,5 +32,28 @@ class MeasurementModel(Protocol):
     def compiled(self, with_curvature: bool = False) -> CompiledMeasurement:
         """Return what compiled loops need; the curvature only to maximise the statistic."""
 
+    @property
+    def half_width(self) -> int:
+        """Pixels from the centre to the edge of the largest stamp."""
+
+    @property
+    def exact_times(self) -> bool:
+        """Whether it matters when exactly each frame was taken, as where sensors interleave."""
+
+    def slice(self, frames: NDArray) -> MeasurementModel:
+        """Return the model of some of the frames."""
+
+    def plane_shape(self, frame_shape: tuple[int, int]) -> tuple[int, int]:
+        """Return the size (H, W) of the plane of positions that frames of a size see."""
+
+    def frame_shape(self, plane_shape: tuple[int, int]) -> tuple[int, int]:
+        """Return the size (H, W) of the frames that see a plane of a size."""
+
+    def window(self, shape: tuple[int, int]) -> MeasurementModel:
+        """Return the model of a part (H, W) of the plane, in its middle."""
+
     def limits(self, shape: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position for frames (H, W)."""
+
+    def n_kinds(self, graph: StateGraph) -> int:
+        """Return how many shapes the velocities of a graph give a target."""

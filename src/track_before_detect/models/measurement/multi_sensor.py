@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from track_before_detect import geometry
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement, curvatures
 from track_before_detect.models.measurement.psf import Psf
+from track_before_detect.models.motion.state_graph import StateGraph
 
 # Places of the plane, along each side, at which the sharpness of the PSFs is looked at.
 N_PLACES = 3
@@ -49,9 +50,30 @@ class MultiSensor:
     shape: tuple[int, int]
 
     @property
-    def frame_shape(self) -> tuple[int, int]:
-        """(H, W) that frames are padded to."""
+    def exact_times(self) -> bool:
+        """Whether it matters when exactly each frame was taken: the sensors take turns."""
+        return True
+
+    @property
+    def half_width(self) -> int:
+        """Pixels from the centre to the edge of the largest stamp."""
+        return max(psf.half_width for psf in self.psfs)
+
+    def slice(self, frames: NDArray) -> MultiSensor:
+        """Return the model of some of the frames."""
+        return replace(self, sensor=self.sensor[frames], maps=self.maps[frames])
+
+    def plane_shape(self, frame_shape: tuple[int, int]) -> tuple[int, int]:
+        """Return the size (H, W) of the plane."""
+        return self.shape
+
+    def frame_shape(self, plane_shape: tuple[int, int]) -> tuple[int, int]:
+        """Return the size (H, W) that frames are padded to."""
         return max(h for h, _ in self.shapes), max(w for _, w in self.shapes)
+
+    def n_kinds(self, graph: StateGraph) -> int:
+        """Return how many shapes the velocities of a graph give a target."""
+        return 1
 
     @cached_property
     def key(self) -> str:

@@ -16,6 +16,7 @@ from scipy.special import ndtr
 from track_before_detect.errors import ParameterError
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement
 from track_before_detect.kernels.psf.psf_profiles import fill_profiles, Optics, product_norm
+from track_before_detect.models.motion.state_graph import StateGraph
 
 LEAST_SIGMA_PX = 0.2
 # Samples of a Gaussian per standard deviation: a cubic spline through them is exact to 1e-7.
@@ -125,9 +126,34 @@ class Psf(ABC):
         optics = self.optics(self.curvature if with_curvature else None)
         return CompiledMeasurement((optics,), np.zeros(0, np.int64), np.empty((0, 3, 3)))
 
+    @property
+    def exact_times(self) -> bool:
+        """Whether it matters when exactly each frame was taken: not with one sensor."""
+        return False
+
+    def slice(self, frames: NDArray) -> Psf:
+        """Return the model of some of the frames, which all look the same."""
+        return self
+
+    def plane_shape(self, frame_shape: tuple[int, int]) -> tuple[int, int]:
+        """Return the size (H, W) of the plane of positions, that of the frames."""
+        return frame_shape
+
+    def frame_shape(self, plane_shape: tuple[int, int]) -> tuple[int, int]:
+        """Return the size (H, W) of the frames that see a plane of a size."""
+        return plane_shape
+
+    def window(self, shape: tuple[int, int]) -> Psf:
+        """Return the model of a part of the plane."""
+        return self
+
     def limits(self, shape: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position in frames (H, W)."""
         return np.array([shape[1] - 1.0, shape[0] - 1.0])
+
+    def n_kinds(self, graph: StateGraph) -> int:
+        """Return how many shapes the velocities of a graph give a target."""
+        return 1
 
 
 @dataclass(frozen=True)

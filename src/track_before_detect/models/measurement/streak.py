@@ -68,6 +68,10 @@ class StreakPsf(Psf):
         """Curvature of a target at rest, see :class:`Psf`."""
         return self.base.curvature
 
+    def n_kinds(self, graph: StateGraph) -> int:
+        """Return how many shapes the velocities of a graph give a target."""
+        return len(streaks_of(graph, self)[0])
+
     def optics(self, curvature: NDArray | None = None) -> Optics:
         """Return what compiled loops need; the curvature only for climbing."""
         n_nodes = 2 + math.ceil(NODES_PER_SIGMA * self.longest_px / self.base.width_px)

@@ -8,43 +8,34 @@ number where the statistic is made of normal ones; otherwise it is taken to fall
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 import hashlib
 import logging
 import math
 import os
 from pathlib import Path
-import tempfile
 import threading
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from track_before_detect.atomic_files import atomic_path
 from track_before_detect.parallel import map_in_threads
+from track_before_detect.solvers.calibration.noise_study import CROP_PX, NoiseStudy
 from track_before_detect.types import Progress
 
 _LOG = logging.getLogger(__name__)
 
-# Crops are as large as the frame up to this side: maxima of small crops cannot be scaled to large
-# frames exactly, since paths near a border have fewer ways to go.
-CROP_PX = 128
 # Steps in which crops get smaller where the least number of them would take too long.
 SMALLER_PX = 16
 # Area searched for a calibration, in crops of full size; smaller ones are searched more of.
 N_CROPS = 800
 MOST_CROPS = 2800
-# CPU time that a calibration should take at most by its formula, but for the crops it needs at
-# least: half a minute on two cores, where loops get in each other's way. With 150
-# instead of 800 crops the realised rate is uncertain by 26 % instead of 12 % where 0.05 is asked
-# for at 128 x 128 pixels (one standard deviation, by drawing from the maxima of 800).
+# CPU time, by formula, that a calibration should take at most, but for the crops it needs at least
+# (docs/constants/calibration.md).
 MOST_SECONDS = 56.0
 LEAST_CROPS = 150
-# Share of the maxima, the largest, that the tail is fitted to. With a quarter, the rate that comes
-# where 0.005 is asked for at 64 x 64 pixels is 0.90 of it, give or take 0.13 (one standard
-# deviation, by drawing 3200 of 15,200 maxima); with a half 0.87 and 0.10, with the largest 150
-# 0.96 and 0.23, and with an exponential fitted to these 0.93 and 0.23.
+# Share of the maxima, the largest, that the tail is fitted to (docs/constants/calibration.md).
 TAIL = 0.25
 # Number of largest maxima, and their largest share, that an exponential tail is fitted to: enough
 # for its slope, and few, because the slope grows slowly all the way out.
@@ -53,51 +44,6 @@ EXPONENTIAL_TAIL = 3 / 16
 SEED = 20240720
 # Part of the key of every cached calibration: change it when the search gives other values.
 REVISION = 6
-
-
-@dataclass(frozen=True)
-class NoiseStudy:
-    """What a calibration has to know of a detector.
-
-    Attributes
-    ----------
-    key : str
-        Names everything that decides what is found in noise, apart from the size of the frames.
-    area : callable
-        Told (H, W), returns the number of places in which a trajectory can start: the number of
-        false ones is in proportion.
-    searcher : callable
-        Told (H, W), returns a function that draws one batch of noise of that size from the
-        generator it is given and returns the largest statistic in it. One is made per thread.
-    whole_width : bool
-        Whether columns differ, so that a narrower batch would not be like the whole.
-    seconds : callable
-        Told (H, W), returns the CPU time of one such search on a common machine, roughly: where
-        it is long, fewer are made. A formula, so that equal calibrations stay equal.
-    least_crop_px : int
-        Smallest side of crops whose maxima can be scaled to larger frames.
-    decay : float, optional
-        Of a statistic that is a norm or a weighted sum of normal numbers: one over twice their
-        variance, 1/2 for real noise and 1 for complex.
-    """
-
-    key: str
-    area: Callable[[tuple[int, int]], float]
-    searcher: Callable[[tuple[int, int]], Callable[[np.random.Generator], float]]
-    whole_width: bool = False
-    seconds: Callable[[tuple[int, int]], float] = lambda shape: 0.0
-    least_crop_px: int = CROP_PX
-    decay: float | None = None
-
-
-def noise_frames(generator: np.random.Generator, shape: tuple[int, ...],
-                 is_complex: bool) -> NDArray:
-    """Draw noise of unit variance, float32 or complex64, for a searcher of a study."""
-    noise = generator.standard_normal(shape, dtype=np.float32)
-    if not is_complex:
-        return noise
-    imaginary = generator.standard_normal(shape, dtype=np.float32)
-    return (noise + 1j * imaginary) * np.float32(0.5**0.5)
 
 
 def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,
@@ -124,7 +70,7 @@ def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,
     return float(np.sqrt(_chi_squared_value(maxima, mean_count, study.decay)))
 
 
-def _chi_squared_value(ordered, mean_count, decay):
+def _chi_squared_value(ordered: NDArray, mean_count: float, decay: float) -> float:
     """Value of a sum of squares that ``mean_count`` paths in a crop pass on average.
 
     The sum passes x in about x^k exp(-decay x) places of a crop when x is large (Worsley,
@@ -138,10 +84,10 @@ def _chi_squared_value(ordered, mean_count, decay):
     far = ordered[ordered > start]
     logarithms = np.log(far / start)
 
-    def passing(power):
+    def passing(power: float) -> NDArray:
         return count * np.exp(power * logarithms - decay * (far - start))
 
-    def likelier(power):
+    def likelier(power: float) -> float:
         # Derivative of the log likelihood, for the largest of a crop passes x with probability
         # 1 - exp(-number of places). It falls all the way.
         return float(np.sum((1 - passing(power)) * logarithms - 1 / (decay * far - power)))
@@ -153,7 +99,7 @@ def _chi_squared_value(ordered, mean_count, decay):
         lowest *= 2
     power = brentq(likelier, lowest, highest) if likelier(highest) < 0 else highest
 
-    def too_many(value):
+    def too_many(value: float) -> float:
         return (np.log(count / mean_count) + power * np.log(value / start)
                 - decay * (value - start))
 
@@ -163,7 +109,7 @@ def _chi_squared_value(ordered, mean_count, decay):
     return float(brentq(too_many, start, end))
 
 
-def _exponential_value(ordered, mean_count):
+def _exponential_value(ordered: NDArray, mean_count: float) -> float:
     """Value that ``mean_count`` paths in a crop pass on average."""
     start, count = _tail(ordered, min(N_EXPONENTIAL / len(ordered), EXPONENTIAL_TAIL))
     if mean_count > count:
@@ -172,12 +118,13 @@ def _exponential_value(ordered, mean_count):
     return start + scale * float(np.log(count / mean_count))
 
 
-def _tail(ordered, share):
+def _tail(ordered: NDArray, share: float) -> tuple[float, float]:
     """Return where the largest maxima begin, and how many paths of a crop pass it on average."""
     return float(np.quantile(ordered, 1 - share)), -math.log1p(-share)
 
 
-def _noise_maxima(study, crop, progress):
+def _noise_maxima(study: NoiseStudy, crop: tuple[int, int],
+                  progress: Progress | None) -> NDArray:
     """Return the largest statistic of each crop of noise, from the cache where it is known."""
     path = _cache_folder() / f'noise-{_key(study, crop)}.npy'
     try:
@@ -189,16 +136,15 @@ def _noise_maxima(study, crop, progress):
     maxima = _simulate(study, crop, progress)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix='.partial-') as folder:
-            aside = Path(folder) / path.name
+        with atomic_path(path) as aside:
             np.save(aside, maxima)
-            os.replace(aside, path)
     except OSError as error:
         _LOG.warning('the threshold calibration could not be kept for the next run: %s', error)
     return maxima
 
 
-def _simulate(study, crop, progress):
+def _simulate(study: NoiseStudy, crop: tuple[int, int],
+              progress: Progress | None) -> NDArray:
     """Search crops of noise on all cores; each crop has its own seed, so order is no matter."""
     local = threading.local()
     done = 0
@@ -206,7 +152,7 @@ def _simulate(study, crop, progress):
     n_crops = _crop_count(study, crop)
     seeds = np.random.SeedSequence(SEED).spawn(n_crops)
 
-    def largest(seed):
+    def largest(seed: np.random.SeedSequence) -> float:
         nonlocal done
         if not hasattr(local, 'search'):
             local.search = study.searcher(crop)
@@ -220,7 +166,7 @@ def _simulate(study, crop, progress):
     return np.array(map_in_threads(largest, seeds))
 
 
-def _crop(study, shape):
+def _crop(study: NoiseStudy, shape: tuple[int, int]) -> tuple[int, int]:
     """Return (H, W) of the crops of noise that are searched for frames of a shape."""
     for side in range(CROP_PX, study.least_crop_px - 1, -SMALLER_PX):
         width = shape[1] if study.whole_width else min(shape[1], side)
@@ -230,13 +176,13 @@ def _crop(study, shape):
     return crop
 
 
-def _crop_count(study, crop):
+def _crop_count(study: NoiseStudy, crop: tuple[int, int]) -> int:
     wanted = min(round(N_CROPS * CROP_PX**2 / (crop[0] * crop[1])), MOST_CROPS)
     fitting = MOST_SECONDS / max(study.seconds(crop), 1e-9)
     return wanted if fitting >= wanted else min(wanted, max(round(fitting), LEAST_CROPS))
 
 
-def _key(study, crop):
+def _key(study: NoiseStudy, crop: tuple[int, int]) -> str:
     text = repr((REVISION, _crop_count(study, crop), SEED, crop, study.key))
     return hashlib.sha256(text.encode()).hexdigest()[:24]
 

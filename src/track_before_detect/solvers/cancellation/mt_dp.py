@@ -26,9 +26,11 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
+    EarlierPaths,
     FoundTrajectory,
+    max_speed,
 )
-from track_before_detect.solvers.calibration.threshold import noise_frames, NoiseStudy
+from track_before_detect.solvers.calibration.noise_study import noise_frames, NoiseStudy
 from track_before_detect.solvers.cancellation.target_cancellation import (
     MOST_TARGETS,
     Search,
@@ -36,7 +38,7 @@ from track_before_detect.solvers.cancellation.target_cancellation import (
     Track,
 )
 from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
-from track_before_detect.types import Progress, Step
+from track_before_detect.types import FrameBatch, Progress, Step
 
 MOTIONS = ('nearly_constant_velocity', 'static')
 
@@ -81,7 +83,7 @@ class MtDpDetector(BatchDetector):
 
     def transition_sets(self, stamps: NDArray) -> list[TransitionSets]:
         """Return the transition sets that are searched apart from each other."""
-        steps = self.max_speed(stamps) * np.diff(stamps, prepend=stamps[0])
+        steps = max_speed(self.options, stamps) * np.diff(stamps, prepend=stamps[0])
         # A speed that makes two pixels of an interval but for rounding makes no third.
         reaches = np.ceil(steps - 1e-6).astype(int)
         return directional_sets(reaches, self.n_directions)
@@ -106,14 +108,11 @@ class MtDpDetector(BatchDetector):
             f'{self.options.detector} {self.n_directions} {len(stamps)} {reach} {self.psf.key} '
             f'{self.merit} {self._complex}', area, searcher)
 
-    def detect(self, frames: NDArray, stamps: NDArray,
+    def detect(self, batch: FrameBatch, weights: NDArray | None = None,
+               earlier: EarlierPaths | None = None,
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories; frames may be complex where the amplitudes are."""
-        return self.detect_weighted(frames, stamps, None, progress)
-
-    def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
-                        progress: Progress | None = None) -> BatchResult:
-        """Find the trajectories where the noise differs between pixels."""
+        frames, stamps = batch.frames, batch.stamps
         self.check_kind(frames)
         threshold = self.threshold(stamps, frames.shape[1:], progress)
         search = TargetSearch(measure(frames, self.psf, weights), self._cores, self.merit)

@@ -8,8 +8,8 @@ import logging
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.measurement.multi_sensor import MultiSensor
-from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.measurement.streak import StreakPsf
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
@@ -38,18 +38,18 @@ class ConvexDetector(PathDetector):
     # With more the threshold at a rate of 5 % stays the same within 0.1 % (on 400 batches).
     refined_in_noise = 3
 
-    def __init__(self, options: DetectorOptions, view: MultiSensor | None = None):
-        super().__init__(options, view)
+    def __init__(self, options: DetectorOptions, measurement: MeasurementModel | None = None):
+        super().__init__(options, measurement)
         self._width_warned = False
 
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
         paths = task.paths
-        refiner = self._refiner(task.graph, task.psf, task.times, task.weights)
+        refiner = self._refiner(task.graph, task.measurement, task.times, task.weights)
         result = pursue(task.search, refiner, paths, self._separation,
                         PursuitSettings(self.options.continuation), self._start(task))
         self._merge_duplicates(task)
-        threshold = self.statistic(self.model.value(paths.threshold), len(task.times))
+        threshold = self.scale.statistic(self.model.value(paths.threshold), len(task.times))
         return BatchResult(self._collect(paths), threshold, result.status, result.history,
                            result.gap)
 
@@ -60,7 +60,7 @@ class ConvexDetector(PathDetector):
         together. So do targets that enter and leave, streaks, several sensors and ambiguous
         Doppler, whose stamps are not made for it.
         """
-        options, psf = self.options, task.psf
+        options, psf = self.options, task.measurement
         if (self.presence is not None or options.doppler_ambiguities
                 or options.continuation[-1] > 0 or isinstance(psf, (MultiSensor, StreakPsf))):
             return
@@ -77,19 +77,19 @@ class ConvexDetector(PathDetector):
     def _start(self, task):
         """Return the paths to begin with."""
         # Positions on a strip or on the sheared plane are not those of the frames.
-        if self.earlier is None or self.options.motion_model in WITHOUT_START:
+        if task.earlier is None or self.options.motion_model in WITHOUT_START:
             return []
-        return starting_paths(task.graph, task.times, task.search.grid_shape, self.earlier,
+        return starting_paths(task.graph, task.times, task.search.grid_shape, task.earlier,
                               self.presence)
 
-    def largest_value(self, search: PathSearch, psf: Psf | MultiSensor, times: NDArray,
+    def largest_value(self, search: PathSearch, measurement: MeasurementModel, times: NDArray,
                       ) -> Callable[[NDArray], float]:
         """Return a function that returns the largest value of any refined path in noise.
 
         A target is decided on by its refined path. Only the best few of the grid are refined:
         the best after them is among these.
         """
-        refiner = self._refiner(search.graph, psf, times, np.zeros((0, 0, 0), np.float32))
+        refiner = self._refiner(search.graph, measurement, times, np.zeros((0, 0, 0), np.float32))
 
         def largest(frames):
             search.forget()
@@ -108,7 +108,7 @@ class ConvexDetector(PathDetector):
 
     @property
     def _separation(self):
-        return SEPARATION * self.psf.width_px
+        return SEPARATION * self.measurement.width_px
 
     def _refiner(self, graph, psf, times, weights):
         shared = (graph, psf, times, weights, self.model)
@@ -119,11 +119,11 @@ class ConvexDetector(PathDetector):
         for path in range(len(paths)):
             seen = paths.seen(path)
             model = paths.model
-            present = self.present(paths.positions[path], seen)
+            present = self.scale.present(paths.positions[path], seen)
             visible = present & paths.visible(path)
             found.append(FoundTrajectory(
                 np.where(present[:, None], paths.positions[path], np.nan),
                 np.where(present, paths.target_amplitudes(path), np.nan),
                 # Less its cost, so that every statistic meets the same threshold.
-                self.statistic(paths.value(path), len(seen)), model.snr(seen[visible])))
+                self.scale.statistic(paths.value(path), len(seen)), model.snr(seen[visible])))
         return sorted(found, key=lambda trajectory: -trajectory.statistic)

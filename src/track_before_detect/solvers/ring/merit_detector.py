@@ -25,15 +25,17 @@ from track_before_detect.parallel import usable_cores
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
+    EarlierPaths,
     FoundTrajectory,
+    max_speed,
     median_interval,
 )
-from track_before_detect.solvers.calibration.threshold import NoiseStudy
+from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.ring.crossings import regularised
 from track_before_detect.solvers.ring.dynamic_programming import extracted
 from track_before_detect.solvers.ring.merit_functions import METHODS
-from track_before_detect.types import Progress
+from track_before_detect.types import FrameBatch, Progress
 
 # Part of a median interval by which a frame may come early or late.
 LARGEST_JITTER = 0.25
@@ -108,7 +110,8 @@ class MeritDetector(BatchDetector):
                           lambda size: math.sqrt(size[0] * size[1]), searcher,
                           seconds=lambda crop: seconds_per_pixel * n_frames * crop[0] * crop[1])
 
-    def detect(self, frames: NDArray, stamps: NDArray,
+    def detect(self, batch: FrameBatch, weights: NDArray | None = None,
+               earlier: EarlierPaths | None = None,
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories.
 
@@ -120,6 +123,7 @@ class MeritDetector(BatchDetector):
             Complex frames, too small or too few of them, or stamps that do not come at equal
             intervals.
         """
+        frames, stamps = batch.frames, batch.stamps
         places = self._places(frames, stamps)
         shape = frames.shape[1:]
         threshold = self.threshold(stamps, shape, progress)
@@ -150,7 +154,7 @@ class MeritDetector(BatchDetector):
         """Return the largest velocity in whole pixels per frame interval."""
         name = self._method.name
         # What rounding adds to a whole number is not a pixel more.
-        per_frame = self.max_speed(stamps) * median_interval(stamps)
+        per_frame = max_speed(self.options, stamps) * median_interval(stamps)
         v_max = math.ceil(min(per_frame, max(shape)) - 1e-6)
         if self._method.order != 'cfo' and v_max > FASTEST_SECOND_ORDER:
             raise ParameterError(

@@ -170,3 +170,17 @@ class PathSearch:
         rows = self._scores.renew(self._kept, frames, changed)
         self._seen[changed] = frames[changed]
         return self._table.update(self._kept, above, rows)
+
+
+def path_search(graph: StateGraph, measurement: Psf | MultiSensor, shape: tuple[int, int],
+                amplitudes: AmplitudeModel, presence: object = None,
+                n_threads: int = 1) -> PathSearch:
+    """Return the search."""
+    from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
+    from track_before_detect.solvers.search.constant_search import ConstantSearch
+    from track_before_detect.solvers.search.partial_search import PartialSearch
+    if presence is None:
+        full = ConstantSearch if amplitudes.is_constant else PathSearch
+        return full(graph, measurement, shape, amplitudes, n_threads)
+    partial = ConstantPartialSearch if amplitudes.is_constant else PartialSearch
+    return partial(graph, measurement, shape, amplitudes, presence, n_threads)

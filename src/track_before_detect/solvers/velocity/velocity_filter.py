@@ -31,13 +31,14 @@ from track_before_detect.parallel import usable_cores
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
+    EarlierPaths,
     FoundTrajectory,
-    median_interval,
+    searched_speed,
 )
-from track_before_detect.solvers.calibration.threshold import CROP_PX, NoiseStudy
+from track_before_detect.solvers.calibration.noise_study import CROP_PX, NoiseStudy
 from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.velocity.shift_and_stack import VelocityStack
-from track_before_detect.types import Progress, Step
+from track_before_detect.types import FrameBatch, Progress, Step
 
 _LOG = logging.getLogger(__name__)
 
@@ -130,9 +131,7 @@ class VelocityFilterDetector(BatchDetector):
 
         Where the search would take too much time, the fastest are left out, with a warning.
         """
-        interval = median_interval(stamps)
-        # What crosses the frame in one interval is as fast as can be seen.
-        speed = float(f'{min(self.max_speed(stamps), float(np.hypot(*shape)) / interval):.3g}')
+        speed = float(f'{searched_speed(self.options, stamps, shape):.3g}')
         span = float(stamps[-1] - stamps[0])
         most = math.sqrt(MOST_ADDITIONS / (math.pi * shape[0] * shape[1] * len(stamps)))
         fitting = min(speed, most / span) if span > 0 else 0.0
@@ -168,22 +167,18 @@ class VelocityFilterDetector(BatchDetector):
             least_crop_px=min(CROP_PX, max(LEAST_CROP_PX, round(extent / MOST_OF_CROP))),
             decay=0.5)
 
-    def detect(self, frames: NDArray, stamps: NDArray,
+    def detect(self, batch: FrameBatch, weights: NDArray | None = None,
+               earlier: EarlierPaths | None = None,
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories."""
-        return self.detect_weighted(frames, stamps, None, progress)
-
-    def detect_weighted(self, frames: NDArray, stamps: NDArray, weights: NDArray | None,
-                        progress: Progress | None = None) -> BatchResult:
-        """Find the trajectories where the noise differs between pixels."""
+        frames, stamps = batch.frames, batch.stamps
         if np.iscomplexobj(frames):
             raise DataError('velocity_filter adds up real numbers, got complex frames')
         shape = frames.shape[1:]
         grid = self.grid(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
         stack = self._stack(grid, shape, usable_cores())
-        batch = _Batch(frames, weights, self.psf, stack, self._signed)
-        return self._solve(batch, threshold)
+        return self._solve(_Batch(frames, weights, self.psf, stack, self._signed), threshold)
 
     def _stack(self, grid, shape, n_threads):
         return VelocityStack(grid, shape, LEAST_SHARE * len(grid.times), self._signed, n_threads)
