@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
@@ -19,14 +19,14 @@ from track_before_detect.types import DetectionResult, Progress
 class _ArrayRecording:
     """Frames of an array, offered as a recording."""
 
-    def __init__(self, frames, stamps):
+    def __init__(self, frames: NDArray, stamps: NDArray[np.float64]):
         self._frames = frames
         self.stamps = stamps
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self._frames)
 
-    def __getitem__(self, index):
+    def __getitem__(self, index: int) -> NDArray:
         return self._frames[index]
 
 
@@ -139,7 +139,7 @@ def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
     return detect_recording(array, settings, progress, SensorPipeline(array, settings))
 
 
-def _as_array(name, values):
+def _as_array(name: str, values: ArrayLike) -> NDArray:
     try:
         return np.asarray(values)
     except (TypeError, ValueError) as error:

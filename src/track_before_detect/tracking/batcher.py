@@ -149,7 +149,7 @@ class SlidingWindow:
         self._intervals.clear()
         self._n_new = 0
 
-    def _longest_gap(self):
+    def _longest_gap(self) -> float | None:
         if self.max_gap_s is not None:
             return self.max_gap_s
         # A single interval may itself be the gap.
@@ -157,7 +157,7 @@ class SlidingWindow:
             return None
         return self.length * float(np.median(self._intervals))
 
-    def _first_gap(self, interval_s):
+    def _first_gap(self, interval_s: float) -> float | None:
         """Return the first interval when the second one shows that it was a gap, else None.
 
         A camera whose first stamp is zero, or from before its clock was set, is an example.
@@ -168,7 +168,8 @@ class SlidingWindow:
         longest = max(SHORTEST_FIRST_GAP_S, self.length * interval_s)
         return first if first > longest else None
 
-    def _accept_after_first_gap(self, gap_s, pixels, stamp_s, frame_index):
+    def _accept_after_first_gap(self, gap_s: float, pixels: NDArray, stamp_s: float,
+                                frame_index: int) -> Intake:
         """Forget what lies before the gap, then take the frame."""
         while len(self._frames) > 1:
             self._frames.popleft()
@@ -181,7 +182,8 @@ class SlidingWindow:
         batch = self._accept(Outcome.GAP, pixels, stamp_s, frame_index).batch
         return Intake(Outcome.GAP, batch, reason)
 
-    def _restart(self, outcome, reason, pixels, stamp_s, frame_index):
+    def _restart(self, outcome: Outcome, reason: str, pixels: NDArray, stamp_s: float,
+                 frame_index: int) -> Intake:
         # A part of a window would have to be calibrated for its own length, while frames arrive.
         tail = self.flush() if len(self._frames) == self.length else None
         self.clear()
@@ -189,7 +191,8 @@ class SlidingWindow:
         # Only a window of one frame has a batch due at once; it never leaves a tail.
         return Intake(outcome, tail if first is None else first, reason)
 
-    def _accept(self, outcome, pixels, stamp_s, frame_index):
+    def _accept(self, outcome: Outcome, pixels: NDArray, stamp_s: float,
+                frame_index: int) -> Intake:
         if self._stamps:
             self._intervals.append(stamp_s - self._stamps[-1])
         self._frames.append(pixels)
@@ -199,12 +202,12 @@ class SlidingWindow:
         due = len(self._frames) == self.length and self._n_new >= self.hop
         return Intake(outcome, self._release() if due else None)
 
-    def _release(self):
+    def _release(self) -> FrameBatch:
         self._n_new = 0
         return FrameBatch(np.stack(list(self._frames)), np.array(self._stamps),
                           np.array(self._indices, np.int64))
 
 
-def _size(shape):
+def _size(shape: tuple[int, int]) -> str:
     height, width = shape
     return f'{height} x {width} (height x width)'

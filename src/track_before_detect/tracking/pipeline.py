@@ -130,13 +130,13 @@ class TrackingPipeline:
         self._stitcher.reset()
         self._before = []
 
-    def _period(self, prepared):
+    def _period(self, prepared: PreparedBatch) -> int | None:
         """Return the columns after which frames begin again, None where they end."""
         wraps = (self._options.motion_model == 'range_bearing'
                  or self._options.doppler_ambiguities > 0)
         return prepared.frames.shape[2] if wraps else None
 
-    def _check_scale(self, frame):
+    def _check_scale(self, frame: NDArray) -> None:
         """Say once when frames taken to have a noise of one cannot have."""
         if self._scale_is_known:
             return
@@ -154,7 +154,7 @@ class TrackingPipeline:
                 'background of 0 and a noise of 1: set noise=robust, and '
                 'background=temporal_median if the scene shows', middle, spread)
 
-    def _compile(self, progress):
+    def _compile(self, progress: Progress | None) -> None:
         """Run every kernel once, on a target bright enough to pass through all stages."""
         options = self._options.replace(
             threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
@@ -175,7 +175,7 @@ class TrackingPipeline:
         detector.detect(batch)
 
 
-def _check(batch):
+def _check(batch: FrameBatch) -> None:
     """Refuse a batch that cannot be searched, before anything is computed."""
     frames, stamps = np.asarray(batch.frames), np.asarray(batch.stamps)
     if frames.ndim != 3 or 0 in frames.shape:

@@ -109,19 +109,19 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
 class _Joined:
     """Trajectories over all frames, each frame from the batch that holds it deepest inside."""
 
-    def __init__(self, stamps):
+    def __init__(self, stamps: NDArray[np.float64]):
         self._stamps = stamps
         self._parts: dict[int, list[Trajectory]] = {}
 
-    def add(self, trajectories):
+    def add(self, trajectories: list[Trajectory]) -> None:
         for trajectory in trajectories:
             self._parts.setdefault(trajectory.id, []).append(trajectory)
 
-    def trajectories(self):
+    def trajectories(self) -> list[Trajectory]:
         joined = [self._join(parts) for parts in self._parts.values()]
         return sorted(joined, key=lambda trajectory: -trajectory.statistic)
 
-    def _join(self, parts):
+    def _join(self, parts: list[Trajectory]) -> Trajectory:
         n_frames = len(self._stamps)
         depth = np.full(n_frames, -1)
         positions = np.full((n_frames, 2), np.nan)

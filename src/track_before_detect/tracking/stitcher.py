@@ -80,7 +80,8 @@ class Stitcher:
             if known.trajectory.id not in seen and known.batches_ago + 1 < self._memory]
         return named
 
-    def _distance_over_gate(self, older, newer, period):
+    def _distance_over_gate(self, older: Trajectory, newer: Trajectory,
+                            period: float | None) -> float:
         common, in_older, in_newer = np.intersect1d(
             older.frame_indices, newer.frame_indices, return_indices=True)
         if len(common):

@@ -64,7 +64,7 @@ def build_range_doppler_graph(stamps: NDArray, *, step_px: float, rows_per_colum
     moves = np.zeros((n_frames, len(velocities), 2), np.int32)
     end_moves = np.zeros((n_segments, len(velocities), 2), np.int32)
 
-    def displacement(start, end):
+    def displacement(start: int, end: int) -> NDArray[np.int32]:
         """From the time ``start`` of a segment to ``end``, in grid steps of the sheared plane."""
         elapsed = ends[end] - ends[start]
         tau = ends[end] - 0.5 * (stamps[0] + stamps[-1])
@@ -84,7 +84,7 @@ def build_range_doppler_graph(stamps: NDArray, *, step_px: float, rows_per_colum
         RangeDopplerCoupling(k, still_column, times))
 
 
-def _longest(rate, k, room, span):
+def _longest(rate: float, k: float, room: float, span: float) -> float:
     """Return the longest time over which the largest Doppler rate moves a target by ``room``."""
     if not rate > 0:
         return span

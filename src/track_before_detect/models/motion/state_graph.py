@@ -189,7 +189,7 @@ def exact_stamps(stamps: NDArray) -> NDArray[np.float64]:
     return (stamps - stamps[0]) / (np.median(intervals) if len(intervals) else 1.0)
 
 
-def _disc(radius):
+def _disc(radius: float) -> tuple[NDArray, NDArray[np.int32], NDArray[np.int32]]:
     """Return the grid points within ``radius`` and half a step, row by row."""
     outer = radius + 0.5 if radius > 0 else 0.0
     extent = math.floor(outer)
