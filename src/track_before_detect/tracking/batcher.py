@@ -116,8 +116,9 @@ class SlidingWindow:
             return Intake(Outcome.REFUSED, reason=(
                 f'expected a stamp after {newest:.6f} s, found the same one again '
                 '(is header.stamp filled in?)'))
-        if pixels.shape != self.shape:
-            reason = f'expected frames of {_size(self.shape)}, found {_size(pixels.shape)}'
+        if pixels.shape != self._frames[-1].shape:
+            reason = (f'expected frames of {_size(self._frames[-1].shape)}, found '
+                      f'{_size(pixels.shape)}')
             return self._restart(Outcome.SIZE_CHANGE, reason, pixels, stamp_s, frame_index)
         if stamp_s < newest:
             if stamp_s > oldest:
