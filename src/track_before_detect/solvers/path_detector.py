@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
@@ -119,7 +119,7 @@ class PathDetector(BatchDetector):
         super().__init__(options)
         self._view = view
         self.psf: Psf | MultiSensor = view or psf_of(options)
-        self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
+        self.model = amplitude_model(options.amplitudes, options.amplitude_model)
         _check_motion(options)
         _check_exposure(options, view)
         self.presence = presence_for(self.model) if options.presence == 'partial' else None

@@ -6,7 +6,8 @@ import re
 import numpy as np
 import pytest
 
-from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, NON_NEGATIVE
+from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
@@ -126,7 +127,7 @@ def test_targets_on_a_line_are_counted(targets, sigma):
 @pytest.mark.parametrize('code', [NON_NEGATIVE, CONSTANT])
 def test_parts_together_explain_most(code):
     rng = np.random.default_rng(9)
-    model = AmplitudeModel(code)
+    model = AMPLITUDE_MODELS[code]
     parts = rng.standard_normal((12, 2)) + [1.0, 0.8]
     gram = parts.T @ parts
     brightness = np.full(T, 3.0) if code == CONSTANT else rng.uniform(1, 5, T)
@@ -144,7 +145,7 @@ def test_parts_together_explain_most(code):
 def test_frames_without_some_paths_are_lent_and_given_back():
     frames = scene([(LINE, 9.0, 1.0)], 10)
     paths = WorkingSet(frames, np.zeros((0, 0, 0)), GaussianPsf(1.0), 8.0,
-                    AmplitudeModel(NON_NEGATIVE))
+                    AMPLITUDE_MODELS[NON_NEGATIVE])
     for shift, amplitude in ((0.0, 8.0), (2.0, 3.0), (4.0, 1.0)):
         paths.add(LINE + shift, 0.0)
         paths.assign(np.array([len(paths) - 1]), np.full((1, T), amplitude))

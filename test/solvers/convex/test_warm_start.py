@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE, SIGNED
+from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE, SIGNED
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.models.presence import presence_for
@@ -14,7 +15,7 @@ from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search.path_search import PathSearch
 
-MODEL = AmplitudeModel(NON_NEGATIVE)
+MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
 NO_MASK = np.zeros((0, 0, 0), bool)
 T, H, W = 12, 26, 34
 HOP = 6
@@ -35,7 +36,7 @@ class OnTheGrid:
     """In place of a refiner: leaves every path where it is."""
 
     def refine(self, frames, positions, cost, threshold, t_convex):
-        return positions, cost
+        return None
 
 
 def graph_of(times=TIMES, acceleration=0.06, model=MODEL):
@@ -168,7 +169,7 @@ def test_the_targets_found_are_those_of_a_cold_start(name, seed):
 
 @pytest.mark.parametrize('code', [NON_NEGATIVE, SIGNED])
 def test_paths_of_no_target_are_not_kept(code):
-    model = AmplitudeModel(code)
+    model = AMPLITUDE_MODELS[code]
     frames = np.random.default_rng(7).standard_normal((T, H, W)).astype(np.float32)
     largest = PathSearch(graph_of(model=model), GaussianPsf(1.0), (H, W), model).best_value(frames)
     rng = np.random.default_rng(8)

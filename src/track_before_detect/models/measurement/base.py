@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 from typing import Protocol
 
 import numpy as np
@@ -25,6 +26,10 @@ class MeasurementModel(Protocol):
         """Standard deviation of the Gaussian that is as sharp, in pixels of the positions."""
 
     @property
+    def gaussian_sigma_px(self) -> float | None:
+        """The one standard deviation of its Gaussian PSFs; None where they are no such thing."""
+
+    @property
     def oversampling(self) -> int:
         """Grid positions per pixel that keep the loss between grid positions small."""
 
@@ -33,3 +38,9 @@ class MeasurementModel(Protocol):
 
     def limits(self, shape: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position for frames (H, W)."""
+
+    def slice(self, frames: builtins.slice) -> MeasurementModel:
+        """Return the model of some successive frames."""
+
+    def gaussian(self, width_px: float) -> MeasurementModel:
+        """Return the same view of a Gaussian target of a width in pixels of the positions."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import builtins
 from dataclasses import dataclass, replace
 from functools import cached_property
 import hashlib
@@ -61,8 +62,14 @@ class MultiSensor:
         psfs = ', '.join(psf.key for psf in self.psfs)
         return f'PlaneView({psfs}, {self.shapes}, {self.shape}, {digest.hexdigest()})'
 
+    @property
+    def gaussian_sigma_px(self) -> float | None:
+        """Standard deviation of Gaussian PSFs that are the same for all sensors, else None."""
+        sigmas = {psf.gaussian_sigma_px for psf in self.psfs}
+        return sigmas.pop() if len(sigmas) == 1 else None
+
     @cached_property
-    def _curvature(self):
+    def _curvature(self) -> NDArray[np.float64]:
         """Curvature of the statistic on the plane, shape (places, T, 2)."""
         compiled = self.compiled(with_curvature=True)
         found = np.empty((N_PLACES**2, len(self.maps), 2))
@@ -98,3 +105,18 @@ class MultiSensor:
         offset = [(self.shape[1] - shape[1]) // 2, (self.shape[0] - shape[0]) // 2]
         return replace(self, maps=self.maps @ geometry.translations(np.array([offset])),
                        shape=shape)
+
+    def slice(self, frames: builtins.slice) -> MultiSensor:
+        """Return the view of some successive frames."""
+        return replace(self, sensor=self.sensor[frames], maps=self.maps[frames])
+
+    def gaussian(self, width_px: float) -> MultiSensor:
+        """Return the view of Gaussian targets that are wider than each PSF by the same factor.
+
+        Parameters
+        ----------
+        width_px : float
+            On the plane, of the sensor that is sharpest there.
+        """
+        factor = width_px / self.width_px
+        return replace(self, psfs=tuple(psf.gaussian(factor * psf.width_px) for psf in self.psfs))

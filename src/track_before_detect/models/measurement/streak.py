@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import builtins
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -67,6 +68,19 @@ class StreakPsf(Psf):
     def curvature(self) -> NDArray[np.float64]:  # type: ignore[override]
         """Curvature of a target at rest, see :class:`Psf`."""
         return self.base.curvature
+
+    @property
+    def gaussian_sigma_px(self) -> float | None:
+        """Standard deviation of a Gaussian at rest; None of any other PSF."""
+        return self.base.gaussian_sigma_px
+
+    def slice(self, frames: builtins.slice) -> StreakPsf:
+        """Return the PSF of some successive frames; at their ends the velocity is one-sided."""
+        return replace(self, times=self.times[frames])
+
+    def gaussian(self, width_px: float) -> StreakPsf:
+        """Return the streak of a Gaussian target of a width, or of the least width there is."""
+        return replace(self, base=self.base.gaussian(width_px))
 
     def optics(self, curvature: NDArray | None = None) -> Optics:
         """Return what compiled loops need; the curvature only for climbing."""

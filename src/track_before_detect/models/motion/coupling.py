@@ -9,7 +9,8 @@ same in all columns. So the maps are sheared once, and the search of the plane s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import builtins
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,14 @@ class RangeDopplerCoupling:
         """Return y - y' in grid steps for each frame and grid column, shape (T, X)."""
         columns = np.arange(n_columns) * step_px - self.still_column
         return whole_steps(self.rows_per_column * np.outer(self.times, columns) / step_px)
+
+    def rows(self, positions: NDArray) -> NDArray[np.float64]:
+        """Return y - y' in pixels for the positions (T, 2) of a path, shape (T,)."""
+        return self.rows_per_column * self.times * (positions[:, 0] - self.still_column)
+
+    def slice(self, frames: builtins.slice) -> RangeDopplerCoupling:
+        """Return the coupling of some successive frames, in the plane of them all."""
+        return replace(self, times=self.times[frames])
 
     def travel(self, n_columns: int) -> NDArray[np.float64]:
         """Return the rows a target of constant Doppler moves through, for each pixel column."""

@@ -30,12 +30,12 @@ def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int
     Parameters
     ----------
     graph : StateGraph
-        Of the batch to be searched, without a coupling.
+        Of the batch to be searched.
     times : array, shape (T,)
         Of its frames, in any unit.
     grid_shape : tuple of int
-        (Y, X) of the positions that are searched.
-    earlier : Earlier
+        (Y, X) of the grid positions of a frame.
+    earlier : EarlierPaths
         What the batch before found.
     presence : Presence, optional
         Cost of being present, where a path may be absent from some frames.
@@ -51,9 +51,12 @@ def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int
     if not seen:
         return []
     span = float(np.ptp(times)) / graph.n_segments
-    wanted = np.array([_carried_on(earlier.positions[number], present[number], times, span)
-                       for number in seen])
+    plane = _Plane(graph, grid_shape[1])
+    wanted = np.array([
+        _carried_on(plane.sheared(earlier.positions[number]), present[number], times, span)
+        for number in seen])
     paths, turns = _nearest_paths(graph, wanted / graph.step_px)
+    paths = plane.restored(paths)
     inside = np.all((paths >= 0) & (paths < grid_shape[::-1]), axis=(1, 2))
     found = []
     for row in np.flatnonzero(inside & np.isfinite(turns)):
@@ -69,7 +72,33 @@ def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int
     return found
 
 
-def _carried_on(positions, present, times, span):
+class _Plane:
+    """The plane of a graph, on which a target of constant velocity goes straight on.
+
+    That of the frames, or that in which a target of constant Doppler stands still.
+    """
+
+    def __init__(self, graph: StateGraph, n_columns: int):
+        self._coupling = graph.coupling
+        self._steps = (np.zeros((graph.n_frames, n_columns), np.int32) if graph.coupling is None
+                       else graph.coupling.shifts(n_columns, graph.step_px))
+
+    def sheared(self, positions: NDArray) -> NDArray[np.float64]:
+        """Return the positions (T, 2) of a path in pixels on this plane."""
+        if self._coupling is None:
+            return positions
+        rows = positions[:, 1] - self._coupling.rows(positions)
+        return np.stack([positions[:, 0], rows], axis=1)
+
+    def restored(self, paths: NDArray) -> NDArray[np.float64]:
+        """Return paths (P, T, 2) of grid steps of the frames, those beside all columns too."""
+        x = np.clip(paths[..., 0].astype(int), 0, self._steps.shape[1] - 1)
+        y = paths[..., 1] + self._steps[np.arange(paths.shape[1]), x]
+        return np.stack([paths[..., 0], y], axis=-1)
+
+
+def _carried_on(positions: NDArray, present: NDArray, times: NDArray,
+                span: float) -> NDArray[np.float64]:
     """Return a path in all frames: straight on beyond its ends at the velocity near them."""
     seen, at = times[present], positions[present]
     out = np.stack([np.interp(times, seen, column) for column in at.T], axis=1)
@@ -84,7 +113,7 @@ def _carried_on(positions, present, times, span):
     return out
 
 
-def _nearest_paths(graph, wanted):
+def _nearest_paths(graph: StateGraph, wanted: NDArray) -> tuple[NDArray, NDArray]:
     """Return the paths (P, T, 2) of the graph near positions, in grid steps, and their turns (P,).
 
     From every start near the first position the velocities follow one by one, each the one that
