@@ -114,7 +114,8 @@ class _Problem:
         size = 2 * n_paths
         to_s = np.zeros((n_frames, size, n_paths))
         for d in range(2):
-            to_s[:, d * n_paths + path, path] = -4 * height * (s[:, None] * squares * x[d] / room**2).T
+            slopes = s[:, None] * squares * x[d] / room**2
+            to_s[:, d * n_paths + path, path] = -4 * height * slopes.T
         of_s = 2 * height * (squares * (s[:, None]**2 * squares + (x**2).sum(axis=0))
                              / room**2).sum(axis=1)
         right = slope_x.transpose(2, 0, 1).reshape(n_frames, size, 1)
