@@ -81,6 +81,13 @@ def test_converged_means_that_no_path_passes_the_threshold(name, continuation):
     assert result.history[-1].violation == pytest.approx(left / 6.5 - 1, abs=1e-4)
 
 
+def test_history_ends_with_the_state_that_is_left_at_the_limit_of_rounds():
+    result, _ = solve(scene('crossing', 7), (0.0,), most_rounds=1)
+    assert result.status == 'iteration_limit' and len(result.paths) > 0
+    assert result.history[-1].n_paths == len(result.paths)
+    assert result.history[-1].objective == pytest.approx(result.paths.objective(0.0))
+
+
 @pytest.mark.parametrize('name', SCENES)
 def test_duality_gap_bounds_what_a_tighter_solution_gains(name):
     frames = scene(name, 6)
