@@ -88,9 +88,9 @@ class AmplitudeModel(ABC):
     def statistic(self, seen: NDArray, envelope: NDArray) -> float:
         """Return eta for the matched filter statistic h of each frame, shape (T,)."""
 
+    @abstractmethod
     def rectified(self, seen: NDArray) -> NDArray:
         """Return statistics h (T,) with the sign of the target taken off, magnitudes if free."""
-        return np.abs(seen)
 
     def snr(self, seen: NDArray) -> float:
         """Return the mean statistic of one frame: of |h| where it is complex."""
@@ -114,12 +114,13 @@ class AmplitudeModel(ABC):
     def penalty(self, threshold: float, cost: float) -> float:
         """Return lambda of a path whose turns cost ``cost``: what its statistic has to pass.
 
-        Values add up along a path, so costs add to them.
+        Values add up along a path, so costs add to them: lambda^2 = threshold^2 + cost for squared
+        statistics, otherwise lambda = threshold + cost times :meth:`cost_scale`.
         """
 
     @abstractmethod
     def cost_scale(self, norms: NDArray) -> float:
-        """Return by how much more the turns of a path cost, of which ``norms`` (T,) are seen."""
+        """Return by how much more the turns of a path with these n (T,) cost."""
 
     @abstractmethod
     def value(self, statistic: float) -> float:
@@ -151,12 +152,13 @@ class _Fluctuating(AmplitudeModel):
     def statistic(self, seen: NDArray, envelope: NDArray) -> float:
         return float(np.linalg.norm(self.best(seen, envelope)))
 
+    def rectified(self, seen: NDArray) -> NDArray:
+        return seen if self.non_negative else np.abs(seen)
+
     def penalty(self, threshold: float, cost: float) -> float:
-        """Return lambda of a path, lambda^2 = threshold^2 + cost."""
         return math.sqrt(threshold**2 + cost)
 
     def cost_scale(self, norms: NDArray) -> float:
-        """Return one: squared statistics add up whatever is seen."""
         return 1.0
 
     def value(self, statistic: float) -> float:
@@ -173,10 +175,6 @@ class NonNegative(_Fluctuating):
     non_negative = True
     refinement_gain = 12.0
     frame_cost = 1.4
-
-    def rectified(self, seen: NDArray) -> NDArray:
-        """Return statistics h (T,) as they are."""
-        return seen
 
 
 class Signed(_Fluctuating):
@@ -199,27 +197,35 @@ class Complex(_Fluctuating):
 class _OneAmplitude(AmplitudeModel):
     """One amplitude, or one modulus, for all frames; statistics add up along a path.
 
-    The first two are a restriction to one dimension, so their statistic has the noise of one
-    number instead of T: they find dimmer targets, and miss those that fluctuate. A phase that is
-    free in each frame leaves most of the noise in.
+    One real amplitude is a restriction to one dimension, so its statistic has the noise of one
+    number instead of T: it finds dimmer targets, and misses those that fluctuate.
     """
 
     is_constant = True
+    turn_cost = 0.5
+    refinement_gain = 0.9
     frame_cost = 0.0
     end_cost = 0.3
 
     def n_numbers(self, n_frames: int) -> int:
         return 1
 
+    def best(self, seen: NDArray, envelope: NDArray) -> NDArray:
+        alpha = float(seen @ envelope)
+        return envelope * (max(alpha, 0.0) if self.non_negative else alpha)
+
+    def statistic(self, seen: NDArray, envelope: NDArray) -> float:
+        alpha = float(seen @ envelope)
+        return max(alpha, 0.0) if self.non_negative else abs(alpha)
+
+    def rectified(self, seen: NDArray) -> NDArray:
+        return seen if self.non_negative else seen * (np.sign(seen.sum()) or 1.0)
+
     def penalty(self, threshold: float, cost: float) -> float:
-        """Return lambda of a path, threshold + cost; the cost multiplied by ``cost_scale``."""
         return threshold + cost
 
     def cost_scale(self, norms: NDArray) -> float:
-        """Return sqrt(T) / |n|, by which the turns of a constant amplitude cost more.
-
-        With a cost that grows as less is seen of a target, sum of n h less cost stays additive.
-        """
+        # With a cost that grows as less is seen, sum of n h less cost stays additive.
         return math.sqrt(len(norms)) / max(float(np.linalg.norm(norms)), 1e-300)
 
     def value(self, statistic: float) -> float:
@@ -234,34 +240,17 @@ class Constant(_OneAmplitude):
 
     code = amplitude_codes.CONSTANT
     non_negative = True
-    turn_cost = 0.5
-    refinement_gain = 0.9
-
-    def best(self, seen: NDArray, envelope: NDArray) -> NDArray:
-        """Return the amplitudes that fit the statistic of each frame best, shape (T,)."""
-        alpha = float(seen @ envelope)
-        return envelope * (max(alpha, 0.0) if self.non_negative else alpha)
-
-    def statistic(self, seen: NDArray, envelope: NDArray) -> float:
-        """Return eta for the matched filter statistic h of each frame, shape (T,)."""
-        alpha = float(seen @ envelope)
-        return max(alpha, 0.0) if self.non_negative else abs(alpha)
-
-    def rectified(self, seen: NDArray) -> NDArray:
-        """Return statistics h (T,) with the sign of their sum taken off, where it is free."""
-        return seen if self.non_negative else seen * (np.sign(seen.sum()) or 1.0)
 
 
-class SignedConstant(Constant):
+class SignedConstant(_OneAmplitude):
     """One real amplitude."""
 
     code = amplitude_codes.SIGNED_CONSTANT
-    non_negative = False
     signs = (1, -1)
 
 
 class ComplexConstant(_OneAmplitude):
-    """One modulus and a phase that is free in each frame.
+    """One modulus and a phase that is free in each frame, which leaves most of the noise in.
 
     Moduli that are constant are no convex set; the largest norm of which eta is the dual is
     max |x_t| |n| / n_t, equal to |x| on that set. It takes the place of |x| at t = 1, where moduli
@@ -285,6 +274,10 @@ class ComplexConstant(_OneAmplitude):
     def statistic(self, seen: NDArray, envelope: NDArray) -> float:
         """Return eta for the matched filter statistic h of each frame, shape (T,)."""
         return float(np.abs(seen) @ envelope)
+
+    def rectified(self, seen: NDArray) -> NDArray:
+        """Return the magnitudes of statistics h (T,)."""
+        return np.abs(seen)
 
     def norms(self, amplitudes: NDArray, envelopes: NDArray) -> NDArray[np.float64]:
         """Return the norm that shrinks the amplitudes (P, T) of each path, shape (P,)."""

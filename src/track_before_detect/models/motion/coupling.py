@@ -39,9 +39,10 @@ class RangeDopplerCoupling:
         columns = np.arange(n_columns) * step_px - self.still_column
         return whole_steps(self.rows_per_column * np.outer(self.times, columns) / step_px)
 
-    def rows(self, positions: NDArray) -> NDArray[np.float64]:
-        """Return y - y' in pixels for the positions (T, 2) of a path, shape (T,)."""
-        return self.rows_per_column * self.times * (positions[:, 0] - self.still_column)
+    def on_plane(self, positions: NDArray) -> NDArray[np.float64]:
+        """Return the positions (T, 2) of a path, x and y in pixels, as x and y'."""
+        x, y = positions.T
+        return np.stack([x, y - self.rows_per_column * self.times * (x - self.still_column)], 1)
 
     def slice(self, frames: builtins.slice) -> RangeDopplerCoupling:
         """Return the coupling of some successive frames, in the plane of them all."""

@@ -40,8 +40,7 @@ REACH = 5.0
 DRIFT = 6.0
 # Level of chi squared of either comparison. With free amplitudes it is out of the reach of noise,
 # because ghosts are where they follow the noise best. On a line a pair looks most like a wide
-# target: of 150 pairs 2.5 widths apart (SNR 4, 30 frames) one lacks less than 6.2, the level at a
-# chance of 0.002, and none less than 4.4, while ghosts lack up to 3.3. There it is 3.0.
+# target (docs/constants/convex.md).
 CHANCE = 0.002
 CHANCE_ON_A_LINE = 0.05
 CHANCE_FREE = 1e-5

@@ -35,9 +35,8 @@ StepT = TypeVar('StepT')
 MOST_NEW_PATHS = 256
 # No scene that can be told apart holds more; frames whose noise is far above one would.
 MOST_PATHS = 500
-# Work of all fits of a batch, as a WorkingSet counts it, after which nothing more is fitted: some
-# half a minute of one core. 200 targets of SNR 20 in 256 x 256 pixels take 3e5 and 60 of SNR 30 in
-# 64 x 64 pixels 3e7, but where the noise is far above one there is no end of overlapping paths.
+# Work of all fits of a batch, as a WorkingSet counts it, after which nothing more is fitted: where
+# the noise is far above one there is no end of overlapping paths (docs/constants/convex.md).
 MOST_WORK = 2e8
 # Two paths that share this much of their energy in the mean frame may be one target.
 ALIKE = 0.3
@@ -48,11 +47,9 @@ WORTHWHILE = 0.5
 # A change has to lower F_t by more than the rounding of the sums and of the amplitudes.
 LEAST_GAIN = 1e-3
 # Merging two paths of one frame has to lower F_0 by more. The price of a path allows for all the
-# places noise may look like a target at; one path beside another has but a few. Pairs of
-# SNR 12 two widths of the PSF apart (threshold 5) stay two in 93.5 % of 200 scenes without it, in
-# 98.0 % of 400 at 2.5 and in 98.8 % at 3.75 and 5.0. Those of SNR 30 become three in 0.5, 1.0 and
-# 2.2 % of 400. Each further frame gives two paths one more amplitude to follow the noise with, and
-# half a unit of F_0, which is taken off.
+# places noise may look like a target at; one path beside another has but a few. Each further frame
+# gives two paths one more amplitude to follow the noise with, and half a unit of F_0, which is
+# taken off (docs/constants/convex.md).
 MERGING_GAIN = 3.75
 NOISE_PER_FRAME = 0.5
 # Rounds in which a convex solution that is the result may move its paths off the grid. After them

@@ -51,50 +51,34 @@ def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int
     if not seen:
         return []
     span = float(np.ptp(times)) / graph.n_segments
-    plane = _Plane(graph, grid_shape[1])
+    # On this plane a target of constant velocity, or of constant Doppler, goes straight on.
+    coupling = graph.coupling
     wanted = np.array([
-        _carried_on(plane.sheared(earlier.positions[number]), present[number], times, span)
-        for number in seen])
+        _carried_on(coupling.on_plane(positions) if coupling else positions, present[number],
+                    times, span)
+        for number, positions in enumerate(earlier.positions) if number in seen])
     paths, turns = _nearest_paths(graph, wanted / graph.step_px)
-    paths = plane.restored(paths)
-    inside = np.all((paths >= 0) & (paths < grid_shape[::-1]), axis=(1, 2))
+    if coupling:
+        shifts = coupling.shifts(grid_shape[1], graph.step_px)
+        columns = np.clip(paths[..., 0].astype(int), 0, grid_shape[1] - 1)
+        paths[..., 1] += shifts[np.arange(n_frames), columns]
+    inside = np.all((paths >= 0) & (paths < grid_shape[::-1]), axis=2)
     found = []
-    for row in np.flatnonzero(inside & np.isfinite(turns)):
+    for row in np.flatnonzero(np.isfinite(turns)):
         path, cost = paths[row] * graph.step_px, float(graph.turn_cost * turns[row])
+        first, last = 0, n_frames - 1
         if presence is not None:
-            # A target that has not left by the last common frame is still there in the new ones.
+            # A target that has not left by the last common frame is still there in the new ones,
+            # until it leaves the frame.
             there = present[seen[row]]
             there = there | (~known & there[np.flatnonzero(known)[-1]])
             first, last = (int(frame) for frame in np.flatnonzero(there)[[0, -1]])
+            last = first + int(np.argmin(np.append(inside[row, first:last + 1], False))) - 1
             path[:first] = path[last + 1:] = np.nan
             cost += presence.cost(first, last, n_frames)
-        found.append(FoundPath(path, float('nan'), cost))
+        if first <= last and inside[row, first:last + 1].all():
+            found.append(FoundPath(path, float('nan'), cost))
     return found
-
-
-class _Plane:
-    """The plane of a graph, on which a target of constant velocity goes straight on.
-
-    That of the frames, or that in which a target of constant Doppler stands still.
-    """
-
-    def __init__(self, graph: StateGraph, n_columns: int):
-        self._coupling = graph.coupling
-        self._steps = (np.zeros((graph.n_frames, n_columns), np.int32) if graph.coupling is None
-                       else graph.coupling.shifts(n_columns, graph.step_px))
-
-    def sheared(self, positions: NDArray) -> NDArray[np.float64]:
-        """Return the positions (T, 2) of a path in pixels on this plane."""
-        if self._coupling is None:
-            return positions
-        rows = positions[:, 1] - self._coupling.rows(positions)
-        return np.stack([positions[:, 0], rows], axis=1)
-
-    def restored(self, paths: NDArray) -> NDArray[np.float64]:
-        """Return paths (P, T, 2) of grid steps of the frames, those beside all columns too."""
-        x = np.clip(paths[..., 0].astype(int), 0, self._steps.shape[1] - 1)
-        y = paths[..., 1] + self._steps[np.arange(paths.shape[1]), x]
-        return np.stack([paths[..., 0], y], axis=-1)
 
 
 def _carried_on(positions: NDArray, present: NDArray, times: NDArray,

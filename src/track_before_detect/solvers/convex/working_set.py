@@ -102,10 +102,6 @@ class StampRenderer:
                     *(array[inside] for array in stamps))
         return stamps
 
-    def whole_norm(self) -> float:
-        """Return the norm of a stamp far from all borders, see ``measurement.whole_norm``."""
-        return whole_norm(self._compiled, self._shape[1:])
-
 
 class WorkingSet:
     """Paths with amplitudes and the residual they leave.
@@ -163,7 +159,7 @@ class WorkingSet:
         self.frames = frames
         self._pixel_weights = np.asarray(pixel_weights, np.float32)
         self._renderer = StampRenderer(measurement, frames.shape, self._pixel_weights)
-        self._whole_norm = self._renderer.whole_norm()
+        self._whole_norm = whole_norm(measurement.compiled(), frames.shape[1:])
         self.threshold = threshold
         self.ids: list[int] = []
         self._next_id = 0

@@ -20,9 +20,7 @@ from track_before_detect.models.motion.state_graph import StateGraph
 TURNS_PER_DEGREE = 4.0
 HIGHEST_DEGREE = 3
 # A path this many grid steps longer than a target gets at its largest speed costs as much as one
-# turn; it grows as the square. Of the batches of noise that pass the threshold one in five has a
-# path that is too long, while the speed of a target of SNR 1.5 in 20 frames is known to 0.03
-# px/frame, which costs half a unit of a squared statistic of 70 where it moves as fast as may be.
+# turn; it grows as the square (docs/constants/refine.md).
 OVERLONG_STEPS = 2.5
 
 
@@ -85,7 +83,7 @@ class SmoothMotions(ABC):
         return change[keep] / elapsed[keep].reshape(-1, *[1] * (values.ndim - 1))
 
 
-class PlaneMotions(SmoothMotions):
+class _PlaneMotions(SmoothMotions):
     """Motions whose two components are free of each other."""
 
     def __init__(self, graph: StateGraph, times: NDArray):
@@ -104,7 +102,6 @@ class PlaneMotions(SmoothMotions):
 
     def candidates(self, positions: NDArray, cost: float,
                    ) -> Iterator[tuple[NDArray, NDArray, float | None]]:
-        """Yield start (T, 2), basis (T, 2, B) and cost of each family; cost None: by its turns."""
         for basis, projection, both, degree in self._polynomials:
             yield basis @ (projection @ positions), both, self._price(degree)
         if self._moving:
@@ -114,7 +111,6 @@ class PlaneMotions(SmoothMotions):
             yield positions, self._hats_in_plane, None
 
     def allowed(self, positions: NDArray) -> bool:
-        """Return whether no step is faster than a target may be."""
         intervals = np.diff(self._times)
         later = intervals > 0
         moved = np.diff(positions, axis=0)[later]
@@ -124,7 +120,6 @@ class PlaneMotions(SmoothMotions):
         return bool(np.all(speed <= self._max_speed + slack))
 
     def overspeed_cost(self, positions: NDArray) -> float:
-        """Return what a motion costs for being faster than a target should be."""
         if not self._moving:
             return 0.0
         steps = np.diff(positions, axis=0)
@@ -134,11 +129,10 @@ class PlaneMotions(SmoothMotions):
         return self._graph.turn_cost * overlong**2
 
     def velocities(self, positions: NDArray) -> NDArray:
-        """Return the velocity of each segment, shape (J, 2)."""
         return self._segment_change(positions)
 
 
-class RangeDopplerMotions(SmoothMotions):
+class _RangeDopplerMotions(SmoothMotions):
     """Motions over range-Doppler maps: the columns of all frames and one range say all."""
 
     def __init__(self, graph: StateGraph, times: NDArray, coupling: RangeDopplerCoupling):
@@ -160,32 +154,29 @@ class RangeDopplerMotions(SmoothMotions):
 
     def candidates(self, positions: NDArray, cost: float,
                    ) -> Iterator[tuple[NDArray, NDArray, float | None]]:
-        """Yield start (T, 2), basis (T, 2, B) and cost of each family; cost None: by its turns."""
         for basis, projection, price in self._families:
             parameters = projection @ (positions - self._offset).ravel()
             yield self._offset + basis @ parameters, basis, price
 
     def allowed(self, positions: NDArray) -> bool:
-        """Return whether the Doppler changes no faster than it may."""
         if len(positions) < 2:
             return True
         rate = np.diff(positions[:, 0]) / np.diff(self._times)
         return bool(np.all(np.abs(rate) <= self._max_rate + self._graph.velocity_step))
 
     def overspeed_cost(self, positions: NDArray) -> float:
-        """Return 0: the columns of a map say how fast a target may be."""
+        # The columns of a map say how fast a target may be.
         return 0.0
 
     def velocities(self, positions: NDArray) -> NDArray:
-        """Return the rate of the Doppler column in each segment, shape (J,)."""
         return self._segment_change(positions[:, 0])
 
 
 def motions_of(graph: StateGraph, times: NDArray) -> SmoothMotions:
     """Return the motions that belong to a state graph."""
     if graph.coupling is not None:
-        return RangeDopplerMotions(graph, times, graph.coupling)
-    return PlaneMotions(graph, times)
+        return _RangeDopplerMotions(graph, times, graph.coupling)
+    return _PlaneMotions(graph, times)
 
 
 def _with_rows(columns: NDArray, times: NDArray, rows_per_column: float) -> NDArray:
