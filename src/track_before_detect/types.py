@@ -93,8 +93,8 @@ class Step:
         Number of paths with non-zero amplitude.
     violation : float
         Largest statistic of any path on the residual over the threshold, less one; at most the
-        tolerance when the step ended a stage. NaN in the stages between the first and the last,
-        which do not search.
+        tolerance when the step ended a stage. NaN of steps that do not search, as in the stages
+        between the first and the last.
     """
 
     t: float

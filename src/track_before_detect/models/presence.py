@@ -8,20 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import (
-    AmplitudeModel,
-    COMPLEX,
-    NON_NEGATIVE,
-    SIGNED,
-)
+from track_before_detect.models.amplitudes import AmplitudeModel
 
 # Log-likelihood that has to speak against a target before the end of its path is cut off.
 CUT = 1.0
-# Cost of a frame for each model of the amplitudes.
-PER_FRAME = {NON_NEGATIVE: 1.4, SIGNED: 2.0, COMPLEX: 1.5}
-# Cost of entering or leaving where amplitudes are constant.
-CONSTANT_END = 0.3
-MOST_LOOKS = 5
+# Times that the frames of a target are told from its mean amplitude in the others.
+MOST_ROUNDS = 5
 
 
 @dataclass(frozen=True)
@@ -34,7 +26,7 @@ class Presence:
     keeps the whole a group lasso with weights.
 
     The statistic of a constant amplitude is a mean and does not grow with the frames. It has no
-    such cost, and those of entering and leaving are multiplied by its dearness, as turns are.
+    such cost, and those of entering and leaving are multiplied by its cost scale, as turns are.
 
     Attributes
     ----------
@@ -97,7 +89,7 @@ def frames_seen_in(seen: NDArray) -> tuple[int, int]:
         Statistic h of each frame along the path, magnitude where the sign is free.
     """
     first, last = 0, len(seen) - 1
-    for _ in range(MOST_LOOKS):
+    for _ in range(MOST_ROUNDS):
         amplitude = max(float(np.mean(seen[first:last + 1])), 0.0)
         run = _best_run(amplitude * seen - 0.5 * amplitude**2, CUT, CUT)
         if run == (first, last):
@@ -106,7 +98,7 @@ def frames_seen_in(seen: NDArray) -> tuple[int, int]:
     return first, last
 
 
-def _best_run(gains, entry, leaving):
+def _best_run(gains: NDArray, entry: float, leaving: float) -> tuple[int, int]:
     """Return the ends of the run of largest sum, less the costs where it ends inside."""
     n_frames = len(gains)
     before = np.append(0.0, np.cumsum(gains))
@@ -121,16 +113,7 @@ def _best_run(gains, entry, leaving):
 def presence_for(model: AmplitudeModel) -> Presence:
     """Return the costs for a model of the amplitudes, in units of its noise.
 
-    The square of the threshold of a path of n frames, for one false path in twenty batches of
-    128 x 128 pixels, grows by 1.6 a frame from n = 10 to 20 where amplitudes are not negative, by
-    2.1 where they are signed, and by 1.7 where they are complex, whose |h|^2 has the mean of the
-    signed h^2 and half its variance. A little less, with the costs of entering and leaving,
-    raises the threshold of targets that are there all the time by no more than 0.05 while noise
-    still lengthens few paths.
-
-    Where amplitudes are constant the ends alone cost something. Of 100 targets of SNR 1.5 in 12 of
-    20 frames of 96 x 96 pixels that enter, of as many that leave and of as many that stay, 39, 33
-    and 88 are found at 0.3, 40, 36 and 85 at half of that, and 30, 27 and 91 at twice that.
+    Where amplitudes are constant the ends alone cost something.
     """
     if model.has_one_modulus:
         # Magnitudes of noise have a mean above zero, so their sum over the root of the frames
@@ -138,6 +121,4 @@ def presence_for(model: AmplitudeModel) -> Presence:
         raise ParameterError(
             'presence partial cannot be searched with amplitude_model constant and amplitudes '
             'complex: take fluctuating, or presence full')
-    if model.is_constant:
-        return Presence(0.0, entry=CONSTANT_END, leaving=CONSTANT_END)
-    return Presence(PER_FRAME[model.code], entry=6.0, leaving=6.0)
+    return Presence(model.frame_cost, entry=model.end_cost, leaving=model.end_cost)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.measurement.streak import StreakPsf
 from track_before_detect.models.motion.state_graph import StateGraph
@@ -92,7 +92,7 @@ class PathDetector(BatchDetector):
     def __init__(self, options: DetectorOptions, measurement: MeasurementModel | None = None):
         super().__init__(options)
         self.measurement: MeasurementModel = measurement or psf_of(options)
-        self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
+        self.model = amplitude_model(options.amplitudes, options.amplitude_model)
         self.presence = presence_for(self.model) if options.presence == 'partial' else None
         self.scale = PathStatistic(self.model, self.presence)
         self._graphs = GraphBuilder(options, self.model.turn_cost, self.presence is not None)

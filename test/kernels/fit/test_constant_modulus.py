@@ -4,18 +4,13 @@ import numpy as np
 import pytest
 
 import naive
+from track_before_detect.kernels.amplitude_codes import COMPLEX, COMPLEX_CONSTANT, CONSTANT, SIGNED
 from track_before_detect.kernels.fit import constant_modulus
-from track_before_detect.models.amplitudes import (
-    AmplitudeModel,
-    COMPLEX,
-    COMPLEX_CONSTANT,
-    CONSTANT,
-    SIGNED,
-)
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.solvers.convex import bounded_moduli
 from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes, objective
 
-MODEL = AmplitudeModel(COMPLEX_CONSTANT)
+MODEL = AMPLITUDE_MODELS[COMPLEX_CONSTANT]
 
 
 def complex_normal(generator, shape):
@@ -75,7 +70,7 @@ def test_one_modulus_beats_all_others():
 
 def test_phases_and_one_modulus_are_the_numbers_of_a_path():
     assert MODEL.n_numbers(9) == 10
-    others = [AmplitudeModel(code).n_numbers(9) for code in (SIGNED, CONSTANT, COMPLEX)]
+    others = [AMPLITUDE_MODELS[code].n_numbers(9) for code in (SIGNED, CONSTANT, COMPLEX)]
     assert others == [9, 1, 18]
 
 

@@ -4,13 +4,9 @@ import numpy as np
 import pytest
 
 import naive
+from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, SIGNED
 from track_before_detect.kernels.fit import shrinkage
-from track_before_detect.models.amplitudes import (
-    AmplitudeModel,
-    CONSTANT,
-    NON_NEGATIVE,
-    SIGNED,
-)
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes
 
 
@@ -18,7 +14,7 @@ def shrunk(row, weight, code):
     """Shrink the amplitudes of one path, as the sweeps of the solver do; no weight is t = 0."""
     amplitudes, converged = fit_amplitudes(
         np.zeros((1, len(row))), row[None], np.ones((1, 1, len(row))), np.array([weight or 1.0]),
-        1.0 if weight else 0.0, AmplitudeModel(code), 0.5 * float(row @ row), 0.0)
+        1.0 if weight else 0.0, AMPLITUDE_MODELS[code], 0.5 * float(row @ row), 0.0)
     assert converged
     return amplitudes[0]
 

@@ -4,13 +4,8 @@ import numpy as np
 import pytest
 
 import naive
-from track_before_detect.models.amplitudes import (
-    AmplitudeModel,
-    COMPLEX,
-    CONSTANT,
-    NON_NEGATIVE,
-    SIGNED,
-)
+from track_before_detect.kernels.amplitude_codes import COMPLEX, CONSTANT, NON_NEGATIVE, SIGNED
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.solvers.search.position_scores import PositionScores
 
@@ -26,7 +21,7 @@ SHAPE = (13, 17)
 
 def scores_for(psf, shape, code=NON_NEGATIVE):
     n_rows = psf.oversampling * (shape[0] - 1) + 1
-    return PositionScores(psf, shape, AmplitudeModel(code), lambda work: work(0, n_rows))
+    return PositionScores(psf, shape, AMPLITUDE_MODELS[code], lambda work: work(0, n_rows))
 
 
 def weights_of(kind):

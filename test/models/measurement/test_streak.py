@@ -7,9 +7,10 @@ import pytest
 
 import naive
 import track_before_detect as tbd
+from track_before_detect.kernels.amplitude_codes import COMPLEX, NON_NEGATIVE, SIGNED
 from track_before_detect.kernels.psf.measurement import render_path
 from track_before_detect.kernels.scores.streak_scores import scores_of_streak
-from track_before_detect.models.amplitudes import AmplitudeModel, COMPLEX, NON_NEGATIVE, SIGNED
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
 from track_before_detect.models.motion.state_graph import build_state_graph
@@ -89,7 +90,8 @@ def test_scores_of_a_streak_equal_those_of_a_slow_twin(code):
 def test_scores_of_the_search_are_near_to_the_statistic_of_the_streak(name):
     psf = StreakPsf(PSFS[name], 1.0, 6.0, (0.0, 1.0))
     streaks = np.array([[0.0, 0], [5.0, 2.0], [-2.0, 4.0]])
-    scores = StreakScores(psf, (24, 26), AmplitudeModel(SIGNED), lambda work: work(0, 47), streaks)
+    scores = StreakScores(psf, (24, 26), AMPLITUDE_MODELS[SIGNED],
+                          lambda work: work(0, 47), streaks)
     position = np.array([12.5, 11.0])
     for number, streak in enumerate(streaks):
         frame = 10 * streak_picture(PSFS[name], position, streak, (24, 26)).astype(np.float32)

@@ -6,8 +6,9 @@ import pytest
 from false_alarms import assert_rate_is_realised
 import naive
 import track_before_detect as tbd
+from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE
 from track_before_detect.kernels.search.viterbi import ABSENT
-from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.range_doppler import build_range_doppler_graph
 from track_before_detect.options import DetectorOptions
@@ -61,7 +62,7 @@ def test_search_finds_the_best_of_all_paths(k, acceleration):
     stamps = np.arange(4.0)
     graph = graph_for(stamps, k, acceleration, step=1.0, still=2.0)
     psf, shape = GaussianPsf(2.0), (7, 5)
-    search = PathSearch(graph, psf, shape, AmplitudeModel(NON_NEGATIVE))
+    search = PathSearch(graph, psf, shape, AMPLITUDE_MODELS[NON_NEGATIVE])
     frames = np.random.default_rng(3).standard_normal((4, *shape)).astype(np.float32)
     plain = np.stack([naive.matched_filter(frame, psf)[0] for frame in frames])
     plain = np.maximum(plain, 0)**2

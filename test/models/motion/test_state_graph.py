@@ -1,8 +1,11 @@
 """The state graph holds the motions it is asked for and no faster ones."""
 
+import itertools
+
 import numpy as np
 import pytest
 
+from track_before_detect.models.motion.range_doppler import build_range_doppler_graph
 from track_before_detect.models.motion.state_graph import build_state_graph, regular_stamps
 
 
@@ -68,3 +71,47 @@ def test_jitter_of_the_clock_is_rounded_away_and_dropped_frames_are_not():
     np.testing.assert_array_equal(regular_stamps(stamps), np.arange(20.0))
     np.testing.assert_array_equal(regular_stamps(np.delete(np.arange(6.0), 2)),
                                   [0, 1, 3, 4, 5])
+
+
+GRAPHS = {
+    'turning': build_state_graph(np.arange(8.0), step_px=0.5, max_speed=0.4,
+                                 max_acceleration=0.12, turn_cost=1.0),
+    'straight': build_state_graph(np.array([0.0, 1, 2, 4, 5, 7]), step_px=0.5, max_speed=0.8,
+                                  max_acceleration=0.0, turn_cost=1.0),
+    'range_doppler': build_range_doppler_graph(
+        np.arange(8.0), step_px=0.5, rows_per_column=0.4, still_column=3.0,
+        max_acceleration=0.1, turn_cost=1.0),
+}
+
+
+def displacements(graph, first, last):
+    """Return how paths move from one frame on."""
+    found = set()
+    for velocities in itertools.product(range(graph.n_velocities), repeat=graph.n_segments):
+        if np.abs(np.diff(graph.grid[list(velocities)], axis=0)).max(initial=0) > graph.reach:
+            continue
+        starts = np.cumsum([(0, 0), *(graph.end_moves[j, v] for j, v in enumerate(velocities))], 0)
+        path = np.concatenate([
+            start + graph.moves[begin:end, v] for start, begin, end, v in
+            zip(starts[:-1], graph.knots[:-1], graph.knots[1:], velocities, strict=True)])
+        found.add(tuple((path[first:last] - path[first]).ravel()))
+    return found
+
+
+@pytest.mark.parametrize(('first', 'last'), [(0, 6), (2, 5), (1, 4), (3, 6), (2, 3)])
+@pytest.mark.parametrize('name', GRAPHS)
+def test_paths_of_a_slice_are_those_of_the_graph_cut_to_its_frames(name, first, last):
+    graph = GRAPHS[name]
+    part = graph.slice(slice(first, last))
+    assert part.n_frames == last - first
+    assert part.moves.shape == (part.n_frames, graph.n_velocities, 2)
+    assert part.end_moves.shape == (part.n_segments, graph.n_velocities, 2)
+    assert displacements(part, 0, last - first) == displacements(graph, first, last)
+    if graph.coupling is not None:
+        np.testing.assert_array_equal(part.coupling.shifts(9, 0.5),
+                                      graph.coupling.shifts(9, 0.5)[first:last])
+
+
+def test_the_slice_of_all_frames_is_the_graph():
+    for graph in GRAPHS.values():
+        assert graph.slice(slice(None)).fingerprint() == graph.fingerprint()

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from track_before_detect import Sensor
-from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
+from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.options import DetectorOptions
@@ -70,7 +71,7 @@ def test_usual_calibrations_keep_their_crops(n_frames, shape, options, n_crops):
 def test_whatever_takes_longer_is_said_to_take_longer():
     graph = build_state_graph(np.arange(12.0), step_px=0.5, max_speed=1.0, max_acceleration=0.05,
                               turn_cost=3.0)
-    psf, model = GaussianPsf(1.0), AmplitudeModel(NON_NEGATIVE)
+    psf, model = GaussianPsf(1.0), AMPLITUDE_MODELS[NON_NEGATIVE]
     plain = search_seconds(graph, psf, (60, 60), model, False, 0)
     assert search_seconds(graph, psf, (120, 60), model, False, 0) == pytest.approx(2 * plain)
     assert search_seconds(graph, psf, (60, 60), model, True, 0) > 1.3 * plain

@@ -8,7 +8,8 @@ import pytest
 from scipy.stats import chi2
 
 from false_alarms import assert_rate_is_realised
-from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE
+from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.calibration import threshold as module
@@ -16,7 +17,7 @@ from track_before_detect.solvers.calibration.threshold import NoiseStudy, thresh
 from track_before_detect.solvers.search.path_search import PathSearch
 
 PSF = GaussianPsf(2.0)
-MODEL = AmplitudeModel(NON_NEGATIVE)
+MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
 
 
 GRAPH = build_state_graph(np.arange(6.0), step_px=1.0, max_speed=1.0, max_acceleration=0.1,

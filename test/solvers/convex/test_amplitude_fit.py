@@ -5,13 +5,9 @@ import pytest
 from scipy.optimize import nnls
 
 import naive
+from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, SIGNED
 from track_before_detect.kernels.fit import group_lasso
-from track_before_detect.models.amplitudes import (
-    AmplitudeModel,
-    CONSTANT,
-    NON_NEGATIVE,
-    SIGNED,
-)
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes, objective
 
 
@@ -38,7 +34,7 @@ def fit(columns, data, t, code, weights, start=None):
     matched, gram, energy = in_numbers(columns, data)
     amplitudes, converged = fit_amplitudes(
         np.zeros(matched.shape) if start is None else start, matched, gram, weights, t,
-        AmplitudeModel(code), energy, 1e-10)
+        AMPLITUDE_MODELS[code], energy, 1e-10)
     assert converged
     used = np.any(amplitudes, axis=1)
     assert objective(amplitudes, matched, gram, weights, t) == pytest.approx(

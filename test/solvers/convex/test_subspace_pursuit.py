@@ -3,12 +3,8 @@
 import numpy as np
 import pytest
 
-from track_before_detect.models.amplitudes import (
-    AmplitudeModel,
-    CONSTANT,
-    NON_NEGATIVE,
-    SIGNED,
-)
+from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, SIGNED
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.convex import subspace_pursuit
@@ -21,7 +17,7 @@ from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search.path_search import PathSearch
 
-MODEL = AmplitudeModel(NON_NEGATIVE)
+MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
 NO_MASK = np.zeros((0, 0, 0), bool)
 T, H, W = 8, 24, 30
 STAMPS = np.arange(float(T))
@@ -83,6 +79,13 @@ def test_converged_means_that_no_path_passes_the_threshold(name, continuation):
     if continuation == (1.0,):
         assert left <= 6.5 * (1 + 1e-3) * (1 + 1e-5)
     assert result.history[-1].violation == pytest.approx(left / 6.5 - 1, abs=1e-4)
+
+
+def test_history_ends_with_the_state_that_is_left_at_the_limit_of_rounds():
+    result, _ = solve(scene('crossing', 7), (0.0,), most_rounds=1)
+    assert result.status == 'iteration_limit' and len(result.paths) > 0
+    assert result.history[-1].n_paths == len(result.paths)
+    assert result.history[-1].objective == pytest.approx(result.paths.objective(0.0))
 
 
 @pytest.mark.parametrize('name', SCENES)
@@ -153,13 +156,13 @@ def test_every_path_of_a_crowd_passes_its_weight(seed):
     paths = result.paths
     assert len(paths) > 5
     for path in range(len(paths)):
-        assert paths.statistic(path) >= paths.weights[path]
+        assert paths.statistic(path) >= paths.penalties[path]
 
 
 @pytest.mark.parametrize('code', [SIGNED, CONSTANT])
 @pytest.mark.parametrize('name', ['far apart', 'crossing'])
 def test_other_amplitude_models_find_each_target_once(name, code):
-    model = AmplitudeModel(code)
+    model = AMPLITUDE_MODELS[code]
     threshold = 8.0 if code == SIGNED else 5.5
     result, _ = solve(scene(name, 3), (1.0, 0.6, 0.2, 0.0), threshold, model=model)
     assert result.status == 'converged'
@@ -173,7 +176,7 @@ def test_other_amplitude_models_find_each_target_once(name, code):
 
 def test_negative_target_is_found_only_when_signs_are_free():
     frames = -scene('far apart', 3)
-    free, _ = solve(frames, (1.0, 0.5, 0.0), 8.0, model=AmplitudeModel(SIGNED))
+    free, _ = solve(frames, (1.0, 0.5, 0.0), 8.0, model=AMPLITUDE_MODELS[SIGNED])
     assert len(free.paths) == 2 and (free.paths.amplitudes.mean(axis=1) < -2).all()
     assert len(solve(frames, (1.0, 0.5, 0.0), 8.0)[0].paths) == 0
 
@@ -181,7 +184,7 @@ def test_negative_target_is_found_only_when_signs_are_free():
 @pytest.mark.parametrize('code', [SIGNED, CONSTANT])
 @pytest.mark.parametrize('name', ['close', 'bright', 'empty'])
 def test_other_amplitude_models_descend_to_a_certificate(name, code):
-    model = AmplitudeModel(code)
+    model = AMPLITUDE_MODELS[code]
     result, search = solve(scene(name, 5), (1.0,), 7.0, model=model, tolerance=1e-3)
     assert (np.diff([step.objective for step in result.history]) <= 1e-6).all()
     assert result.status == 'converged'
@@ -207,7 +210,7 @@ def test_residual_is_frames_less_fit_after_many_changes():
     paths.refresh()
     np.testing.assert_allclose(kept, paths.residual, atol=1e-4)
     expected = 0.5 * np.sum(paths.residual.astype(float)**2)
-    expected += 0.5 * np.sum(paths.weights**2)
+    expected += 0.5 * np.sum(paths.penalties**2)
     assert paths.objective(0.0) == pytest.approx(expected, rel=1e-6)
 
 

@@ -3,18 +3,23 @@
 import numpy as np
 import pytest
 
-from track_before_detect.models.amplitudes import AmplitudeModel, NON_NEGATIVE, SIGNED
+from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE, SIGNED
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
+from track_before_detect.models.motion.range_doppler import build_range_doppler_graph
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.models.presence import presence_for
+from track_before_detect.options import DetectorOptions
+from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.batch_detector import EarlierPaths
+from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.convex.warm_start import starting_paths
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search.path_search import PathSearch
 
-MODEL = AmplitudeModel(NON_NEGATIVE)
+MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
 NO_MASK = np.zeros((0, 0, 0), bool)
 T, H, W = 12, 26, 34
 HOP = 6
@@ -35,7 +40,7 @@ class OnTheGrid:
     """In place of a refiner: leaves every path where it is."""
 
     def refine(self, frames, positions, cost, threshold, t_convex):
-        return positions, cost
+        return None
 
 
 def graph_of(times=TIMES, acceleration=0.06, model=MODEL):
@@ -113,6 +118,36 @@ def test_paths_to_begin_with_are_paths_of_the_graph_near_the_motion(acceleration
         assert np.hypot(*(found.positions - truth).T).mean() < 0.75
 
 
+@pytest.mark.parametrize('rate', [0.4, -0.15])
+@pytest.mark.parametrize('acceleration', [0.0, 0.03])
+def test_over_range_doppler_maps_they_keep_the_range_that_goes_with_the_doppler(
+        rate, acceleration):
+    rng = np.random.default_rng(6)
+    graph = build_range_doppler_graph(TIMES, step_px=0.5, rows_per_column=rate, still_column=16.0,
+                                      max_acceleration=acceleration, turn_cost=1.0)
+    shifts = graph.coupling.shifts(2 * W - 1, graph.step_px)
+    for _ in range(20):
+        columns = rng.uniform(10, 22) + rng.uniform(-1, 1) * acceleration / rate * TIMES
+        speed = rate * (columns - 16.0)
+        rows = np.append(0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
+        truth = np.stack([columns, 60 - rows.mean() + rows], axis=1)
+        told = np.where(KNOWN[:, None], truth + rng.normal(0, 0.03, truth.shape), np.nan)
+        [found] = starting_paths(graph, TIMES, (241, 2 * W - 1), EarlierPaths([told], KNOWN))
+        x, y = (found.positions / graph.step_px).T
+        on_plane = np.stack([x, y - shifts[np.arange(T), x.astype(int)]], axis=1)
+        assert follows(graph, on_plane * graph.step_px) == pytest.approx(found.cost)
+        # Half a column of the grid is that many rows off at either end.
+        assert np.abs(found.positions - truth).max() < 1.5 + 0.25 * abs(rate) * T
+
+
+def test_range_that_leaves_the_maps_is_not_begun_with():
+    graph = build_range_doppler_graph(TIMES, step_px=0.5, rows_per_column=0.4, still_column=16.0,
+                                      max_acceleration=0.0, turn_cost=1.0)
+    leaving = np.stack([np.full(T, 21.0), H - 14 + 2.0 * TIMES], axis=1)
+    told = np.where(KNOWN[:, None], leaving, np.nan)
+    assert starting_paths(graph, TIMES, GRID, EarlierPaths([told], KNOWN)) == []
+
+
 def test_paths_that_leave_the_frames_or_were_not_seen_are_not_begun_with():
     leaving = np.stack([W - 5 + 0.8 * TIMES, np.full(T, 8.0)], axis=1)
     unseen = np.full((T, 2), np.nan)
@@ -133,6 +168,16 @@ def test_a_target_that_left_is_not_there_again_where_targets_may_leave(seen, the
     np.testing.assert_array_equal(present, np.arange(T)[there])
     assert found.cost >= presence.cost(int(present[0]), int(present[-1]), T)
     assert np.hypot(*(found.positions - truth)[there].T).mean() < 0.75
+
+
+def test_a_target_that_may_leave_is_begun_with_until_the_border():
+    leaving = np.stack([W - 7 + 0.8 * TIMES, np.full(T, 8.0)], axis=1)
+    told = np.where(KNOWN[:, None], leaving, np.nan)
+    [found] = starting_paths(graph_of(), TIMES, GRID, EarlierPaths([told], KNOWN),
+                             presence_for(MODEL))
+    present = np.isfinite(found.positions[:, 0])
+    assert 6 <= present.sum() < T and present[:6].all()
+    assert (found.positions[present, 0] <= W - 1).all()
 
 
 @pytest.mark.parametrize('seed', [1, 2])
@@ -168,7 +213,7 @@ def test_the_targets_found_are_those_of_a_cold_start(name, seed):
 
 @pytest.mark.parametrize('code', [NON_NEGATIVE, SIGNED])
 def test_paths_of_no_target_are_not_kept(code):
-    model = AmplitudeModel(code)
+    model = AMPLITUDE_MODELS[code]
     frames = np.random.default_rng(7).standard_normal((T, H, W)).astype(np.float32)
     largest = PathSearch(graph_of(model=model), GaussianPsf(1.0), (H, W), model).best_value(frames)
     rng = np.random.default_rng(8)
@@ -180,3 +225,44 @@ def test_paths_of_no_target_are_not_kept(code):
     for continuation in ((1.0,), (1.0, 0.5, 0.0), (0.0,)):
         result = solve(frames, continuation, start, threshold=threshold, model=model)
         assert len(result.paths) == 0
+
+
+OPTIONS = {
+    'nearly_constant_velocity': {},
+    'constant_velocity': {'motion_model': 'constant_velocity'},
+    'static': {'motion_model': 'static'},
+    'range_bearing': {'motion_model': 'range_bearing'},
+    'range_doppler': {'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 0.05},
+    'ambiguous': {'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 0.05,
+                  'doppler_ambiguities': 1},
+    'partial': {'presence': 'partial', 'threshold': 8.0},
+    'partial range_doppler': {'motion_model': 'range_doppler', 'presence': 'partial',
+                              'range_bins_per_doppler_bin': 0.05, 'threshold': 8.0},
+    'exposure': {'exposure_s': 0.8},
+}
+
+
+@pytest.mark.parametrize('name', OPTIONS)
+def test_a_stream_finds_what_batches_that_begin_with_nothing_find(name):
+    options = {'threshold': 7.0, 'max_speed_px_s': 1.0, **OPTIONS[name]}
+    shape, still = (48, 40), OPTIONS[name].get('motion_model') == 'static'
+    if 'range_bins_per_doppler_bin' in options:
+        del options['max_speed_px_s']
+    frames = np.random.default_rng(9).standard_normal((T + HOP, *shape)).astype(np.float32)
+    for x, y, v_x, v_y, amplitude in ((8.3, 9.2, 0.55, 0.33, 6.0), (28.4, 30.1, -0.4, 0.2, 7.0)):
+        for t, frame in enumerate(frames):
+            if 'range_bins_per_doppler_bin' in options:
+                at = (x, y + 0.05 * (x - 20) * t)
+            else:
+                at = (x + v_x * t * (not still), y + v_y * t * (not still))
+            add_target(frame, *at, 1.0, amplitude)
+    first = ConvexDetector(DetectorOptions(**options)).detect(frames[:T], TIMES)
+    cold = ConvexDetector(DetectorOptions(**options)).detect(frames[HOP:], TIMES)
+    detector = ConvexDetector(DetectorOptions(**options))
+    detector.earlier = earlier_of([one.positions for one in first.found])
+    warm = detector.detect(frames[HOP:], TIMES)
+    assert len(cold.found) == len(warm.found) == 2
+    for one, other in zip(cold.found, warm.found, strict=True):
+        np.testing.assert_array_equal(np.isfinite(one.positions), np.isfinite(other.positions))
+        assert np.nanmax(np.hypot(*(one.positions - other.positions).T)) < 0.05
+        assert one.statistic == pytest.approx(other.statistic, abs=0.01)

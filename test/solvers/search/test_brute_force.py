@@ -5,7 +5,7 @@ import pytest
 
 from enumeration import EveryPath
 import naive
-from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
@@ -30,8 +30,8 @@ class StayingRefiner:
     """Leaves every path on the grid, so that the enumerated paths are all there are."""
 
     def refine(self, frames, positions, cost, threshold, t_convex):
-        """Return what was given."""
-        return positions, cost
+        """Find none better."""
+        return
 
 
 class Scene:
@@ -39,7 +39,7 @@ class Scene:
 
     def __init__(self, kind, noise, psf='gaussian', seed=0):
         name, _, constant = kind.partition(' ')
-        self.model = AmplitudeModel.named(name, constant or 'fluctuating')
+        self.model = amplitude_model(name, constant or 'fluctuating')
         self.graph = build_state_graph(STAMPS, step_px=1.0, max_speed=0.7, max_acceleration=0.4,
                                        turn_cost=self.model.turn_cost)
         assert self.graph.n_segments == 2 and self.graph.n_velocities == 5
@@ -149,7 +149,7 @@ def test_gap_of_a_refined_solution_is_no_less_than_the_distance_to_the_optimum(
              *zip(result.paths.positions, result.paths.costs, strict=True)]
     everything = EveryPath(every, scene.psf, kind, SHAPE, T, scene.weights)
     weights = everything.weights_of(THRESHOLD)
-    np.testing.assert_allclose(weights[len(scene.every.costs):], result.paths.weights)
+    np.testing.assert_allclose(weights[len(scene.every.costs):], result.paths.penalties)
     objective, _ = everything.optimum(scene.frames.astype(complex if scene.model.is_complex
                                                           else float), weights, 1e-6)
     assert 0 <= result.history[-1].objective - objective + 2e-6 * objective

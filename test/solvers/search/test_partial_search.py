@@ -7,14 +7,14 @@ import pytest
 
 from false_alarms import assert_rate_is_realised
 import track_before_detect as tbd
-from track_before_detect.models.amplitudes import (
-    AmplitudeModel,
+from track_before_detect.kernels.amplitude_codes import (
     COMPLEX,
     CONSTANT,
     NON_NEGATIVE,
     SIGNED,
     SIGNED_CONSTANT,
 )
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.models.presence import frames_seen_in, Presence, presence_for
@@ -92,7 +92,7 @@ def test_best_path_equals_search_through_every_path_and_interval(n_frames, accel
                                                                  code):
     graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=0.7,
                               max_acceleration=acceleration, turn_cost=0.8)
-    search = PartialSearch(graph, GaussianPsf(2.0), (4, 5), AmplitudeModel(code), PRESENCE)
+    search = PartialSearch(graph, GaussianPsf(2.0), (4, 5), AMPLITUDE_MODELS[code], PRESENCE)
     frames = noise_frames(np.random.default_rng(seed), (n_frames, 4, 5), code == COMPLEX)
     # Something in a few frames only, so that the best path is there in a part of them.
     frames[n_frames // 2:n_frames // 2 + 2, 1:3, 2:4] += 1.5j if code == COMPLEX else 1.5
@@ -115,13 +115,14 @@ def test_best_path_of_constant_amplitude_equals_search_through_all(n_frames, acc
     graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=0.7,
                               max_acceleration=acceleration, turn_cost=0.1)
     shape = (4, 5)
-    search = ConstantPartialSearch(graph, GaussianPsf(2.0), shape, AmplitudeModel(code),
+    search = ConstantPartialSearch(graph, GaussianPsf(2.0), shape, AMPLITUDE_MODELS[code],
                                    OF_CONSTANT)
     generator = np.random.default_rng(seed)
     frames = generator.standard_normal((n_frames, *shape), dtype=np.float32)
     frames[n_frames // 2:n_frames // 2 + 2, 1:3, 2:4] += 1.5 if code == CONSTANT else -1.5
     squares = np.ones((n_frames, *shape))
-    scores = PositionScores(GaussianPsf(2.0), shape, AmplitudeModel(code), lambda work: work(0, 4))
+    scores = PositionScores(GaussianPsf(2.0), shape, AMPLITUDE_MODELS[code],
+                            lambda work: work(0, 4))
     if weighted:
         weights = generator.uniform(0.4, 1.5, frames.shape).astype(np.float32)
         search.set_weights(weights)
@@ -146,7 +147,7 @@ def test_search_of_the_same_frames_again_and_of_others_is_that_of_a_new_one():
                               turn_cost=0.8)
 
     def new_search():
-        return PartialSearch(graph, GaussianPsf(2.0), (12, 9), AmplitudeModel(SIGNED), PRESENCE)
+        return PartialSearch(graph, GaussianPsf(2.0), (12, 9), AMPLITUDE_MODELS[SIGNED], PRESENCE)
 
     search, generator = new_search(), np.random.default_rng(4)
     first, other = generator.standard_normal((2, 6, 12, 9)).astype(np.float32)
@@ -295,7 +296,7 @@ def test_statistic_of_constant_amplitude_is_that_of_the_frames_with_the_target()
     [partial] = tbd.detect(frames, amplitude_model='constant', presence='partial',
                            threshold=7).trajectories
     # Entering costs more where a target shows in few frames.
-    entry = presence_for(AmplitudeModel(CONSTANT)).entry
+    entry = presence_for(AMPLITUDE_MODELS[CONSTANT]).entry
     assert partial.statistic == pytest.approx(
         8 * np.sqrt(7) - entry * np.sqrt(20 / 7), abs=0.02)
     np.testing.assert_array_equal(np.isfinite(partial.positions[:, 0]), np.arange(20) >= 13)

@@ -6,13 +6,8 @@ import numpy as np
 import pytest
 
 import naive
-from track_before_detect.models.amplitudes import (
-    AmplitudeModel,
-    COMPLEX,
-    CONSTANT,
-    NON_NEGATIVE,
-    SIGNED,
-)
+from track_before_detect.kernels.amplitude_codes import COMPLEX, CONSTANT, NON_NEGATIVE, SIGNED
+from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
@@ -133,7 +128,7 @@ def crowd(seed, n_targets, mask, model):
 @pytest.mark.parametrize('weighted', [False, True])
 def test_frames_that_differ_in_places_are_searched_as_if_new(psf, code, weighted):
     generator = np.random.default_rng(3)
-    model = AmplitudeModel(code)
+    model = AMPLITUDE_MODELS[code]
     graph = build_state_graph(STAMPS, step_px=1 / psf.oversampling, max_speed=0.5,
                               max_acceleration=0.0, turn_cost=3.0)
     frames = generator.standard_normal((T, H, W)).astype(np.float32)
@@ -171,7 +166,7 @@ def pursued(frames, valid, model, graph, threshold):
 @pytest.mark.parametrize('mask', [False, True], ids=['', 'masked'])
 @pytest.mark.parametrize('seed', [1, 2])
 def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, mask, seed):
-    model = AmplitudeModel(code)
+    model = AMPLITUDE_MODELS[code]
     frames, valid = crowd(seed, 4, mask, model)
     graph = graph_named('few turns', STAMPS, model.turn_cost)
     # Frames this small are mostly filled anew otherwise.

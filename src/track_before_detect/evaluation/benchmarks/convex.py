@@ -24,7 +24,7 @@ from track_before_detect.evaluation.benchmarks.timing import (
     timed,
 )
 from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
-from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
@@ -151,7 +151,7 @@ def _measure_stages(made, options, repeats):
     shape = made.frames.shape[1:]
     graph = ConvexDetector(options).graph(made.stamps, shape)
     search = PathSearch(graph, GaussianPsf(options.psf_sigma_px), shape,
-                        AmplitudeModel.named(options.amplitudes, options.amplitude_model))
+                        amplitude_model(options.amplitudes, options.amplitude_model))
     scores = search.scores(made.frames)
     search.run(scores)
     filtering, searching, layer = timed(

@@ -7,9 +7,9 @@ matched, slack, amplitudes : complex128 (n, T)
 gram : float64 (n, n, T)
     Inner products of the stamps of two paths in one frame; those with itself are one, or zero
     where nothing is seen of it.
-courses : float64 (n, T)
+envelopes : float64 (n, T)
     In proportion to which the moduli are, of unit norm; zero where nothing is seen.
-weights : float64 (n,)
+penalties : float64 (n,)
 """
 
 import math
@@ -28,12 +28,12 @@ SETTLED = 0.01
 
 
 @numba.njit(**UNCHECKED)
-def give_one_modulus(row, envelope, weight):
-    """Minimise 1/2 |x - h|^2 + weight |x| over |x_k| = alpha c_k in place of h; return alpha.
+def give_one_modulus(row, envelope, penalty):
+    """Minimise 1/2 |x - h|^2 + penalty |x| over |x_k| = alpha c_k in place of h; return alpha.
 
-    Each phase is that of h, and alpha is sum c |h| less the weight.
+    Each phase is that of h, and alpha is sum c |h| less the penalty.
     """
-    alpha = -weight
+    alpha = -penalty
     for k in range(row.size):
         alpha += envelope[k] * abs(row[k])
     alpha = max(alpha, 0.0)
@@ -44,17 +44,17 @@ def give_one_modulus(row, envelope, weight):
 
 
 @numba.njit(**UNCHECKED)
-def clip_moduli(row, envelope, weight):
-    """Minimise 1/2 |x - h|^2 + weight max |x_k| / c_k in place of h; return the largest.
+def clip_moduli(row, envelope, penalty):
+    """Minimise 1/2 |x - h|^2 + penalty max |x_k| / c_k in place of h; return the largest.
 
     The moduli are clipped at s c_k, the level s such that the sum of what is cut off, times c, is
-    the weight: h less x is the projection of h on the ball of the dual norm, sum c |h|. That sum
+    the penalty: h less x is the projection of h on the ball of the dual norm, sum c |h|. That sum
     falls with s, convex and straight in parts, so that Newton steps from s = 0 reach its crossing
     from below in a finite number.
     """
     level = 0.0
     for _ in range(MOST_LEVELS):
-        cut = -weight
+        cut = -penalty
         slope = 0.0
         for k in range(row.size):
             over = abs(row[k]) - level * envelope[k]
@@ -72,7 +72,7 @@ def clip_moduli(row, envelope, weight):
 
 
 @numba.njit(**UNCHECKED)
-def _sweep(amplitudes, norms, slack, gram, envelopes, weights, clipped, row):
+def _sweep(amplitudes, norms, slack, gram, envelopes, penalties, clipped, row):
     """Minimise path by path, once over all; return by how much the objective fell."""
     n_paths, n_frames = amplitudes.shape
     fall = 0.0
@@ -80,12 +80,12 @@ def _sweep(amplitudes, norms, slack, gram, envelopes, weights, clipped, row):
         for k in range(n_frames):
             row[k] = slack[p, k] + gram[p, p, k] * amplitudes[p, k]
             fall += 0.5 * abs(slack[p, k])**2
-        fall += weights[p] * norms[p]
+        fall += penalties[p] * norms[p]
         if clipped:
-            norms[p] = clip_moduli(row, envelopes[p], weights[p])
+            norms[p] = clip_moduli(row, envelopes[p], penalties[p])
         else:
-            norms[p] = give_one_modulus(row, envelopes[p], weights[p])
-        fall -= weights[p] * norms[p]
+            norms[p] = give_one_modulus(row, envelopes[p], penalties[p])
+        fall -= penalties[p] * norms[p]
         for k in range(n_frames):
             step = row[k] - amplitudes[p, k]
             fall -= 0.5 * abs(slack[p, k] - gram[p, p, k] * step)**2
@@ -107,20 +107,20 @@ def _set_slack(amplitudes, matched, gram, slack):
 
 
 @numba.njit(**UNCHECKED)
-def convex_gap(amplitudes, norms, matched, slack, envelopes, weights, energy):
+def convex_gap(amplitudes, norms, matched, slack, envelopes, penalties, energy):
     """Return objective and duality gap of the convex problem, ``norms`` (n,) being max |x| / c."""
     shrinkage = 0.0
     cross = 0.0
     explained = 0.0
     largest = 0.0
     for p in range(amplitudes.shape[0]):
-        shrinkage += weights[p] * norms[p]
+        shrinkage += penalties[p] * norms[p]
         statistic = 0.0
         for k in range(amplitudes.shape[1]):
             cross += (np.conj(matched[p, k]) * amplitudes[p, k]).real
             explained += (np.conj(slack[p, k]) * amplitudes[p, k]).real
             statistic += envelopes[p, k] * abs(slack[p, k])
-        largest = max(largest, statistic / weights[p])
+        largest = max(largest, statistic / penalties[p])
     residual = 2.0 * energy - cross - explained
     objective = 0.5 * residual + shrinkage
     return objective, max(objective - dual_value(2.0 * energy - cross, residual, largest, 1.0),
@@ -128,7 +128,7 @@ def convex_gap(amplitudes, norms, matched, slack, envelopes, weights, energy):
 
 
 @numba.njit(**UNCHECKED)
-def descend(amplitudes, norms, matched, gram, envelopes, weights, clipped, energy, gap_wanted,
+def descend(amplitudes, norms, matched, gram, envelopes, penalties, clipped, energy, gap_wanted,
             most_sweeps):
     """Minimise 1/2 x'Gx - h'x + sum of w_p times the norm of x_p in place, path by path.
 
@@ -152,11 +152,11 @@ def descend(amplitudes, norms, matched, gram, envelopes, weights, clipped, energ
     _set_slack(amplitudes, matched, gram, slack)
     left = math.inf
     for number in range(most_sweeps):
-        fall = _sweep(amplitudes, norms, slack, gram, envelopes, weights, clipped, row)
+        fall = _sweep(amplitudes, norms, slack, gram, envelopes, penalties, clipped, row)
         if not clipped:
             left = abs(fall) / SETTLED
         elif number % SWEEPS == 0:
-            _, left = convex_gap(amplitudes, norms, matched, slack, envelopes, weights, energy)
+            _, left = convex_gap(amplitudes, norms, matched, slack, envelopes, penalties, energy)
         if left <= gap_wanted:
             break
     return left

@@ -125,8 +125,9 @@ def overlap(stamps_a, origins_a, stamps_b, origins_b, out):
 def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     """Write statistic and its slope in x and y to out[t] = (h, dh/dx, dh/dy).
 
-    ``norms`` is as in ``render`` where there are weights, otherwise one. Of complex frames these
-    are |h| and its slope. The slope leaves out that the smear changes with the path.
+    ``norms`` is as in ``render`` where there are weights, otherwise one, or zero where nothing is
+    seen. Of complex frames these are |h| and its slope. The slope leaves out that the smear
+    changes with the path.
     """
     n_frames = positions.shape[0]
     height, width = frames.shape[1:]
@@ -190,9 +191,9 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
             slope_x -= h * (along_x / total)
             slope_y -= h * (along_y / total)
         share = total / product_norm(rows, columns, 0, size, 0, size)
-        norms[t] = 1.0
-        if weighted:
-            norms[t] = math.sqrt(share) if share > LEAST_SHARE else 0.0
+        norms[t] = 0.0
+        if share > LEAST_SHARE:
+            norms[t] = math.sqrt(share) if weighted else 1.0
         factor = 1.0 / math.sqrt(total) if share > LEAST_SHARE else 0.0
         if model >= COMPLEX:
             magnitude = math.sqrt(h.real**2 + h.imag**2)

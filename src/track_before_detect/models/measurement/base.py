@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement
 from track_before_detect.models.motion.state_graph import StateGraph
 
+# Some frames of a batch: their numbers, or a slice.
+Frames = NDArray | slice
+
 
 class MeasurementModel(Protocol):
     """How frames see the positions that are searched; see ``psf``, ``streak``, ``multi_sensor``.
@@ -26,6 +29,10 @@ class MeasurementModel(Protocol):
         """Standard deviation of the Gaussian that is as sharp, in pixels of the positions."""
 
     @property
+    def gaussian_sigma_px(self) -> float | None:
+        """The one standard deviation of its Gaussian PSFs; None where they are no such thing."""
+
+    @property
     def oversampling(self) -> int:
         """Grid positions per pixel that keep the loss between grid positions small."""
 
@@ -40,7 +47,7 @@ class MeasurementModel(Protocol):
     def exact_times(self) -> bool:
         """Whether it matters when exactly each frame was taken, as where sensors interleave."""
 
-    def slice(self, frames: NDArray) -> MeasurementModel:
+    def slice(self, frames: Frames) -> MeasurementModel:
         """Return the model of some of the frames."""
 
     def plane_shape(self, frame_shape: tuple[int, int]) -> tuple[int, int]:
@@ -57,3 +64,6 @@ class MeasurementModel(Protocol):
 
     def n_kinds(self, graph: StateGraph) -> int:
         """Return how many shapes the velocities of a graph give a target."""
+
+    def gaussian(self, width_px: float) -> MeasurementModel:
+        """Return the same view of a Gaussian target of a width in pixels of the positions."""

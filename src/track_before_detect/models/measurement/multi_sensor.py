@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement, curvatures
+from track_before_detect.models.measurement.base import Frames
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.motion.state_graph import StateGraph
 
@@ -59,7 +60,7 @@ class MultiSensor:
         """Pixels from the centre to the edge of the largest stamp."""
         return max(psf.half_width for psf in self.psfs)
 
-    def slice(self, frames: NDArray) -> MultiSensor:
+    def slice(self, frames: Frames) -> MultiSensor:
         """Return the model of some of the frames."""
         return replace(self, sensor=self.sensor[frames], maps=self.maps[frames])
 
@@ -83,8 +84,14 @@ class MultiSensor:
         psfs = ', '.join(psf.key for psf in self.psfs)
         return f'PlaneView({psfs}, {self.shapes}, {self.shape}, {digest.hexdigest()})'
 
+    @property
+    def gaussian_sigma_px(self) -> float | None:
+        """Standard deviation of Gaussian PSFs that are the same for all sensors, else None."""
+        sigmas = {psf.gaussian_sigma_px for psf in self.psfs}
+        return sigmas.pop() if len(sigmas) == 1 else None
+
     @cached_property
-    def _curvature(self):
+    def _curvature(self) -> NDArray[np.float64]:
         """Curvature of the statistic on the plane, shape (places, T, 2)."""
         compiled = self.compiled(with_curvature=True)
         found = np.empty((N_PLACES**2, len(self.maps), 2))
@@ -120,3 +127,14 @@ class MultiSensor:
         offset = [(self.shape[1] - shape[1]) // 2, (self.shape[0] - shape[0]) // 2]
         return replace(self, maps=self.maps @ geometry.translations(np.array([offset])),
                        shape=shape)
+
+    def gaussian(self, width_px: float) -> MultiSensor:
+        """Return the view of Gaussian targets that are wider than each PSF by the same factor.
+
+        Parameters
+        ----------
+        width_px : float
+            On the plane, of the sensor that is sharpest there.
+        """
+        factor = width_px / self.width_px
+        return replace(self, psfs=tuple(psf.gaussian(factor * psf.width_px) for psf in self.psfs))

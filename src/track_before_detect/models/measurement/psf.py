@@ -16,6 +16,7 @@ from scipy.special import ndtr
 from track_before_detect.errors import ParameterError
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement
 from track_before_detect.kernels.psf.psf_profiles import fill_profiles, Optics, product_norm
+from track_before_detect.models.measurement.base import Frames
 from track_before_detect.models.motion.state_graph import StateGraph
 
 LEAST_SIGMA_PX = 0.2
@@ -70,7 +71,7 @@ class Psf(ABC):
         """
         return self._sampled_curvature()
 
-    def _sampled_curvature(self):
+    def _sampled_curvature(self) -> NDArray[np.float64]:
         found = []
         for phase in np.arange(4) / 4:
             rows, row_slopes = self.profiles(0, phase)
@@ -94,6 +95,11 @@ class Psf(ABC):
         statistic: 3 % at sigma = 1 px on half pixels, 3 % at 2 px on whole pixels.
         """
         return 1 if 1 / math.sqrt(2 * self.curvature.max()) >= 2 - 1e-9 else 2
+
+    @property
+    def gaussian_sigma_px(self) -> float | None:
+        """Standard deviation of a Gaussian; None of any other PSF."""
+        return None
 
     def profiles(self, axis: int, phase_px: float) -> tuple[NDArray, NDArray]:
         """Return the profiles around a position ``phase_px`` after a pixel centre, and slopes.
@@ -131,7 +137,7 @@ class Psf(ABC):
         """Whether it matters when exactly each frame was taken: not with one sensor."""
         return False
 
-    def slice(self, frames: NDArray) -> Psf:
+    def slice(self, frames: Frames) -> Psf:
         """Return the model of some of the frames, which all look the same."""
         return self
 
@@ -155,6 +161,10 @@ class Psf(ABC):
         """Return how many shapes the velocities of a graph give a target."""
         return 1
 
+    def gaussian(self, width_px: float) -> Psf:
+        """Return what a Gaussian target of a width looks like, or of the least width there is."""
+        return GaussianPsf(max(width_px, LEAST_SIGMA_PX))
+
 
 @dataclass(frozen=True)
 class GaussianPsf(Psf):
@@ -171,7 +181,7 @@ class GaussianPsf(Psf):
     sigma_px: float
     integrated: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not (math.isfinite(self.sigma_px) and self.sigma_px >= LEAST_SIGMA_PX):
             raise ParameterError(
                 f'sigma_px must be at least {LEAST_SIGMA_PX:g} px, got {self.sigma_px!r}: '
@@ -181,6 +191,11 @@ class GaussianPsf(Psf):
     def key(self) -> str:
         """Text that differs between PSFs that differ."""
         return repr(self)
+
+    @property
+    def gaussian_sigma_px(self) -> float:
+        """Standard deviation."""
+        return self.sigma_px
 
     @property
     def half_width(self) -> int:
@@ -249,10 +264,10 @@ class ArrayPsf(Psf):
         self._coefficients, self._half_width = _splines(
             left.T[:n_components] * values[:n_components, None], right[:n_components], half)
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return isinstance(other, ArrayPsf) and np.array_equal(self.array, other.array)
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(self.key)
 
     @cached_property
@@ -308,7 +323,7 @@ def of_unit_norm(psf: ArrayLike) -> NDArray[np.float64]:
     return array / norm
 
 
-def _splines(rows, columns, half):
+def _splines(rows: NDArray, columns: NDArray, half: int) -> tuple[NDArray[np.float64], int]:
     """Return coefficients (C, 2, N) of profiles in y and x, and the half width they reach."""
     padding = half + WIDEST_MARGIN + 3
     sides = []

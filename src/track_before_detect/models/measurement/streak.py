@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.psf.psf_profiles import Optics
+from track_before_detect.models.measurement.base import Frames
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.motion.state_graph import StateGraph
 
@@ -71,6 +72,19 @@ class StreakPsf(Psf):
     def n_kinds(self, graph: StateGraph) -> int:
         """Return how many shapes the velocities of a graph give a target."""
         return len(streaks_of(graph, self)[0])
+
+    @property
+    def gaussian_sigma_px(self) -> float | None:
+        """Standard deviation of a Gaussian at rest; None of any other PSF."""
+        return self.base.gaussian_sigma_px
+
+    def slice(self, frames: Frames) -> StreakPsf:
+        """Return the PSF of some frames; at their ends the velocity is one-sided."""
+        return replace(self, times=tuple(np.asarray(self.times)[frames].tolist()))
+
+    def gaussian(self, width_px: float) -> StreakPsf:
+        """Return the streak of a Gaussian target of a width, or of the least width there is."""
+        return replace(self, base=self.base.gaussian(width_px))
 
     def optics(self, curvature: NDArray | None = None) -> Optics:
         """Return what compiled loops need; the curvature only for climbing."""

@@ -9,7 +9,8 @@ same in all columns. So the maps are sheared once, and the search of the plane s
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import builtins
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,15 @@ class RangeDopplerCoupling:
         """Return y - y' in grid steps for each frame and grid column, shape (T, X)."""
         columns = np.arange(n_columns) * step_px - self.still_column
         return whole_steps(self.rows_per_column * np.outer(self.times, columns) / step_px)
+
+    def on_plane(self, positions: NDArray) -> NDArray[np.float64]:
+        """Return the positions (T, 2) of a path, x and y in pixels, as x and y'."""
+        x, y = positions.T
+        return np.stack([x, y - self.rows_per_column * self.times * (x - self.still_column)], 1)
+
+    def slice(self, frames: builtins.slice) -> RangeDopplerCoupling:
+        """Return the coupling of some successive frames, in the plane of them all."""
+        return replace(self, times=self.times[frames])
 
     def travel(self, n_columns: int) -> NDArray[np.float64]:
         """Return the rows a target of constant Doppler moves through, for each pixel column."""

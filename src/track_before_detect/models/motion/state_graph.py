@@ -8,7 +8,8 @@ also costs less than searching frame by frame, for the sum over a segment needs 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import builtins
+from dataclasses import dataclass, replace
 import hashlib
 import math
 
@@ -91,6 +92,22 @@ class StateGraph:
         rows = np.repeat(np.arange(len(lengths)), lengths)
         columns = np.arange(self.n_velocities) - self.row_first[rows] + self.row_x[rows]
         return np.stack([columns, rows], axis=1)
+
+    def slice(self, frames: builtins.slice) -> StateGraph:
+        """Return the graph of some successive frames: its paths are those of this one, cut."""
+        first, stop, _ = frames.indices(self.n_frames)
+        began = np.searchsorted(self.knots, first, side='right') - 1
+        ended = np.searchsorted(self.knots, stop, side='left')
+        moves, end_moves = self.moves[first:stop].copy(), self.end_moves[began:ended].copy()
+        if stop < self.knots[ended]:
+            end_moves[-1] = self.moves[stop]
+        # The segment that is cut begins where the path is by then.
+        moved = self.moves[first].copy()
+        end_moves[0] -= moved
+        moves[:self.knots[began + 1] - first] -= moved
+        return replace(
+            self, knots=np.clip(self.knots[began:ended + 1], first, stop) - first, moves=moves,
+            end_moves=end_moves, coupling=self.coupling and self.coupling.slice(frames))
 
     def effective_area(self, shape: tuple[int, int], around: bool = False) -> float:
         """Return the pixels of a frame (H, W) where a straight path can start and stay inside.

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.fit import constant_modulus, group_lasso, least_squares
-from track_before_detect.models.amplitudes import AmplitudeModel, CONSTANT, NON_NEGATIVE
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.solvers.convex import bounded_moduli
 
 MOST_ROUNDS = 200
@@ -20,7 +20,7 @@ ROUNDING = 1e-12
 MODULI_ROUNDING = 1e-10
 
 
-def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
+def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, penalties: NDArray,
                    t_convex: float, model: AmplitudeModel, energy: float,
                    gap: float, envelopes: NDArray | None = None) -> tuple[NDArray, bool]:
     """Minimise 1/2 x'Gx - h'x + t sum w_p |x_p| over the amplitudes x of given paths.
@@ -37,7 +37,7 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
         Inner products h of the stamps with the data.
     gram : array, shape (P, P, T)
         Inner products of the stamps of two paths in one frame.
-    weights : array, shape (P,)
+    penalties : array, shape (P,)
         lambda of each path.
     t_convex : float
         t, from 1 (convex) to 0 (combinatorial).
@@ -59,7 +59,7 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
     if envelopes is None:
         envelopes = np.full(amplitudes.shape, 1 / math.sqrt(amplitudes.shape[1]))
     if model.has_one_modulus:
-        return _fit_moduli(amplitudes, matched, gram, envelopes, weights, t_convex, energy,
+        return _fit_moduli(amplitudes, matched, gram, envelopes, penalties, t_convex, energy,
                            max(gap, MODULI_ROUNDING * energy))
     if constant:
         # One amplitude for each path: its column joins all frames.
@@ -68,46 +68,48 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights
         gram = np.einsum('pt,pqt,qt->pq', envelopes, gram, envelopes)[:, :, None]
     else:
         x = amplitudes.copy()
-    non_negative = model.code in (CONSTANT, NON_NEGATIVE)
+    non_negative = model.non_negative
     # As (P, D, T): a complex number is D = 2 real ones.
     x, matched = _in_parts(x), _in_parts(matched)
     if t_convex == 0.0:
         converged = least_squares.solve(x, matched, np.ascontiguousarray(gram), non_negative)
     else:
-        # Columns over their weights have the one weight t.
-        x *= weights[:, None, None]
+        # Columns over their penalties have the one penalty t.
+        x *= penalties[:, None, None]
         wanted = max(gap, ROUNDING * energy)
         reached, _ = group_lasso.solve(
-            x, matched / weights[:, None, None],
-            gram / (weights[:, None] * weights)[:, :, None], np.empty_like(x), t_convex,
+            x, matched / penalties[:, None, None],
+            gram / (penalties[:, None] * penalties)[:, :, None], np.empty_like(x), t_convex,
             non_negative, energy, wanted, MOST_ROUNDS)
         converged = reached <= wanted
-        x /= weights[:, None, None]
+        x /= penalties[:, None, None]
     fitted = x[:, 0] + 1j * x[:, 1] if model.is_complex else x[:, 0]
     return envelopes * fitted if constant else fitted, converged
 
 
-def _fit_moduli(amplitudes, matched, gram, envelopes, weights, t_convex, energy, wanted):
+def _fit_moduli(amplitudes: NDArray, matched: NDArray, gram: NDArray, envelopes: NDArray,
+                penalties: NDArray, t_convex: float, energy: float, wanted: float,
+                ) -> tuple[NDArray, bool]:
     """Fit amplitudes of constant modulus and free phase."""
     x = np.array(amplitudes, complex)
     matched = np.ascontiguousarray(matched, complex)
     gram, envelopes = np.ascontiguousarray(gram), np.ascontiguousarray(envelopes)
     convex = t_convex == 1.0
     left = constant_modulus.descend(
-        x, np.empty(len(x)), matched, gram, envelopes, t_convex * weights, convex, energy, wanted,
-        SWEEPS_AT_FIRST if convex else MOST_SWEEPS)
+        x, np.empty(len(x)), matched, gram, envelopes, t_convex * penalties, convex, energy,
+        wanted, SWEEPS_AT_FIRST if convex else MOST_SWEEPS)
     if convex and left > wanted:
-        x, left = bounded_moduli.solve(matched, gram, envelopes, weights, energy, wanted)
+        x, left = bounded_moduli.solve(matched, gram, envelopes, penalties, energy, wanted)
     return x, left <= wanted
 
 
-def _in_parts(values):
+def _in_parts(values: NDArray) -> NDArray[np.float64]:
     """Return a copy of values (P, T) as real numbers, shape (P, 1, T) or (P, 2, T)."""
     parts = (values.real, values.imag) if np.iscomplexobj(values) else (values,)
     return np.ascontiguousarray(np.stack(parts, axis=1), np.float64)
 
 
-def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDArray,
+def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, penalties: NDArray,
               t_convex: float, norms: NDArray | None = None) -> float:
     """Return F_t without the energy of the data.
 
@@ -115,7 +117,7 @@ def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDA
 
     Parameters
     ----------
-    amplitudes, matched, gram, weights, t_convex
+    amplitudes, matched, gram, penalties, t_convex
         As in :func:`fit_amplitudes`.
     norms : array, shape (P,), optional
         |x_p| of each path where it is not the Euclidean norm.
@@ -124,5 +126,5 @@ def objective(amplitudes: NDArray, matched: NDArray, gram: NDArray, weights: NDA
     if norms is None:
         norms = np.linalg.norm(amplitudes, axis=1)
     return float(np.vdot(amplitudes, 0.5 * explained - matched).real
-                 + t_convex * np.sum(weights * norms)
-                 + 0.5 * (1 - t_convex)**2 * np.sum(weights[norms > 0]**2))
+                 + t_convex * np.sum(penalties * norms)
+                 + 0.5 * (1 - t_convex)**2 * np.sum(penalties[norms > 0]**2))

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.fit.constant_modulus import convex_gap
-from track_before_detect.models.amplitudes import AmplitudeModel, COMPLEX_CONSTANT
+from track_before_detect.models.amplitudes import ComplexConstant
 
 MOST_STEPS = 300
 # By how much the barrier is lowered once a step gains less than this share of its height.
@@ -28,7 +28,7 @@ LEAST_FALL = 0.1
 MOST_HALVINGS = 30
 
 
-def solve(matched: NDArray, gram: NDArray, envelopes: NDArray, weights: NDArray, energy: float,
+def solve(matched: NDArray, gram: NDArray, envelopes: NDArray, penalties: NDArray, energy: float,
           gap_wanted: float) -> tuple[NDArray, float]:
     """Minimise to a duality gap.
 
@@ -40,7 +40,7 @@ def solve(matched: NDArray, gram: NDArray, envelopes: NDArray, weights: NDArray,
         G in each frame.
     envelopes : array, shape (P, T)
         c, zero in frames that show nothing of a path.
-    weights : array, shape (P,)
+    penalties : array, shape (P,)
         w, above zero.
     energy : float
         Half the squared norm of the data.
@@ -54,10 +54,10 @@ def solve(matched: NDArray, gram: NDArray, envelopes: NDArray, weights: NDArray,
     gap : float
         Duality gap reached.
     """
-    problem = _Problem(matched, gram, envelopes, weights, energy)
+    problem = _Problem(matched, gram, envelopes, penalties, energy)
     n_bounds = max(int(np.count_nonzero(envelopes)), 1)
     x = np.zeros((2, *matched.shape))
-    s = np.full(len(weights), math.sqrt(2 * energy))
+    s = np.full(len(penalties), math.sqrt(2 * energy))
     # Each bound is worth twice the height of the barrier.
     height = energy / n_bounds
     best, gap = np.zeros(matched.shape, complex), math.inf
@@ -77,30 +77,31 @@ def solve(matched: NDArray, gram: NDArray, envelopes: NDArray, weights: NDArray,
 class _Problem:
     """Values and steps; x has the shape (2, P, T), the real and the imaginary parts."""
 
-    def __init__(self, matched, gram, envelopes, weights, energy):
+    def __init__(self, matched: NDArray, gram: NDArray, envelopes: NDArray,
+                 penalties: NDArray, energy: float):
         self._data = matched
         self._matched = np.array([matched.real, matched.imag])
         self._gram = gram
         self._envelopes = envelopes
         self._squares = envelopes**2
-        self._weights = weights
+        self._penalties = penalties
         self._energy = energy
 
-    def _room(self, x, s):
+    def _room(self, x: NDArray, s: NDArray) -> NDArray:
         """Return s^2 c^2 - |x|^2, one where nothing is seen."""
         return np.where(self._squares > 0, s[:, None]**2 * self._squares - (x**2).sum(axis=0), 1)
 
-    def _value(self, x, s, height):
+    def _value(self, x: NDArray, s: NDArray, height: float) -> float:
         explained = np.einsum('pqt,dqt->dpt', self._gram, x)
-        return (np.vdot(x, 0.5 * explained - self._matched) + self._weights @ s
+        return (np.vdot(x, 0.5 * explained - self._matched) + self._penalties @ s
                 - height * np.log(self._room(x, s)).sum())
 
-    def step(self, x, s, height):
+    def step(self, x: NDArray, s: NDArray, height: float) -> tuple[NDArray, NDArray, float]:
         """Return x and s after a Newton step, and half the squared Newton decrement."""
         n_paths, n_frames = self._envelopes.shape
         room, squares = self._room(x, s), self._squares
         slope_x = np.einsum('pqt,dqt->dpt', self._gram, x) - self._matched + 2 * height * x / room
-        slope_s = self._weights - 2 * height * s * (squares / room).sum(axis=1)
+        slope_s = self._penalties - 2 * height * s * (squares / room).sum(axis=1)
         # Second derivatives: a matrix of 2 P unknowns for each frame, what joins it to s, and the
         # diagonal of s.
         joint = np.zeros((n_frames, 2, n_paths, 2, n_paths))
@@ -110,13 +111,13 @@ class _Problem:
             joint[:, d, path, d, path] += 2 * height * (1 / room).T
             for e in range(2):
                 joint[:, d, path, e, path] += 4 * height * (x[d] * x[e] / room**2).T
-        to_s = np.zeros((n_frames, 2, n_paths, n_paths))
+        size = 2 * n_paths
+        to_s = np.zeros((n_frames, size, n_paths))
         for d in range(2):
-            to_s[:, d, path, path] = -4 * height * (s[:, None] * squares * x[d] / room**2).T
+            slopes = s[:, None] * squares * x[d] / room**2
+            to_s[:, d * n_paths + path, path] = -4 * height * slopes.T
         of_s = 2 * height * (squares * (s[:, None]**2 * squares + (x**2).sum(axis=0))
                              / room**2).sum(axis=1)
-        size = 2 * n_paths
-        to_s = to_s.reshape(n_frames, size, n_paths)
         right = slope_x.transpose(2, 0, 1).reshape(n_frames, size, 1)
         solved = np.linalg.solve(joint.reshape(n_frames, size, size),
                                  np.concatenate([to_s, right], axis=2))
@@ -137,20 +138,20 @@ class _Problem:
             share *= 0.5
         return x, s, 0.0
 
-    def certified(self, x, s):
+    def certified(self, x: NDArray, s: NDArray) -> tuple[float, NDArray]:
         """Return the duality gap, and amplitudes zero for paths that the solution does not use.
 
         Towards it either the bound of a path goes to zero or what its statistic lacks of its
-        weight does.
+        penalty does.
         """
-        lacking = 1 - (self._envelopes * np.abs(self._left(x))).sum(axis=1) / self._weights
+        lacking = 1 - (self._envelopes * np.abs(self._left(x))).sum(axis=1) / self._penalties
         x = np.where((lacking > s / s.sum())[:, None], 0.0, x)
         amplitudes = x[0] + 1j * x[1]
-        norms = AmplitudeModel(COMPLEX_CONSTANT).norms(amplitudes, self._envelopes)
+        norms = ComplexConstant().norms(amplitudes, self._envelopes)
         _, gap = convex_gap(amplitudes, norms, self._data, self._left(x), self._envelopes,
-                            self._weights, self._energy)
+                            self._penalties, self._energy)
         return gap, amplitudes
 
-    def _left(self, x):
+    def _left(self, x: NDArray) -> NDArray:
         """Return h - G x, complex."""
         return self._data - np.einsum('pqt,qt->pt', self._gram, x[0] + 1j * x[1])

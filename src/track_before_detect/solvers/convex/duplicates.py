@@ -22,13 +22,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
+from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.motion.state_graph import StateGraph
+from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.convex.extended_target import (
     ExtendedTarget,
     ExtendedTargetFitter,
     together,
 )
-from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.convex.working_set import Source, WorkingSet
 
 # Fewer frames tell too little about a shape.
 LEAST_FRAMES = 8
@@ -38,8 +40,7 @@ REACH = 5.0
 DRIFT = 6.0
 # Level of chi squared of either comparison. With free amplitudes it is out of the reach of noise,
 # because ghosts are where they follow the noise best. On a line a pair looks most like a wide
-# target: of 150 pairs 2.5 widths apart (SNR 4, 30 frames) one lacks less than 6.2, the level at a
-# chance of 0.002, and none less than 4.4, while ghosts lack up to 3.3. There it is 3.0.
+# target (docs/constants/convex.md).
 CHANCE = 0.002
 CHANCE_ON_A_LINE = 0.05
 CHANCE_FREE = 1e-5
@@ -50,25 +51,22 @@ SWEEPS = 4
 
 
 class DuplicateSearch:
-    """Finds paths that stand for one target together, and lets one stand for it.
-
-    Paths have to be present in every frame, of one sensor and without streaks, and at t = 0.
+    """Finds paths that stand for one target together, and lets one stand for it, at t = 0.
 
     Parameters
     ----------
-    graph, times, weights
+    graph, measurement, times, pixel_weights, presence
         As of :class:`ExtendedTargetFitter`.
     paths : WorkingSet
         The solution.
-    width_px : float
-        Width of the PSF.
     """
 
-    def __init__(self, graph: StateGraph, times: NDArray, weights: NDArray, paths: WorkingSet,
-                 width_px: float):
-        self._fitter = ExtendedTargetFitter(graph, times, weights, paths.model, width_px)
+    def __init__(self, graph: StateGraph, measurement: MeasurementModel, times: NDArray,
+                 pixel_weights: NDArray, paths: WorkingSet, presence: Presence | None):
+        self._fitter = ExtendedTargetFitter(graph, measurement, times, pixel_weights, paths.model,
+                                            presence)
         self._paths = paths
-        self._width = width_px
+        self._width = measurement.width_px
 
     def merge(self) -> NDArray[np.float64]:
         """Leave one path for each target, with the amplitudes of t = 0.
@@ -80,10 +78,9 @@ class DuplicateSearch:
             that explains most.
         """
         paths = self._paths
-        if len(paths.frames) < LEAST_FRAMES:
-            return np.empty(0)
         found: list[tuple[NDArray[np.int64], ExtendedTarget]] = []
-        left = np.ones(len(paths), bool)
+        left = np.array([paths.n_present(path) >= LEAST_FRAMES for path in range(len(paths))],
+                        bool)
         for path in np.argsort(-np.linalg.norm(paths.amplitudes, axis=1)):
             if not left[path]:
                 continue
@@ -96,13 +93,13 @@ class DuplicateSearch:
             self._replace(found)
         return np.array([extended.width_px for _, extended in found])
 
-    def _target_at(self, path, left):
+    def _target_at(self, path: int, left: NDArray[np.bool_],
+                   ) -> tuple[NDArray[np.int64], ExtendedTarget | None]:
         """Return paths that are one target, this one first, and that target; None without one."""
         paths = self._paths
         others = paths.neighbours(path)
         others = others[left[others]]
-        offsets = [(paths.positions[other] - paths.positions[path]) / self._width
-                   for other in others]
+        offsets = [offset / self._width for offset in paths.offsets(path, others)]
         distances = [np.linalg.norm(offset, axis=1) for offset in offsets]
         near = np.array([
             distance.max() < REACH and np.linalg.norm(np.ptp(offset, axis=0)) < DRIFT
@@ -116,63 +113,63 @@ class DuplicateSearch:
             members, extended = self._one_of(path, others[passing])
         return members, extended
 
-    def _one_of(self, path, others):
+    def _one_of(self, path: int, others: NDArray[np.int64],
+                ) -> tuple[NDArray[np.int64], ExtendedTarget | None]:
         """Return as :meth:`_target_at` does, of some of these others."""
         paths = self._paths
         while len(others):
             members = np.append(path, others)
             with paths.without(*members) as frames:
                 extended = self._fitter.fit(frames, paths.positions[path], paths.costs[path],
-                                        paths.threshold)
-                extended.show(frames, -1.0)
-                excess = np.array([paths.statistic(other, paths.residual_statistic(other))
-                                   for other in others]) - paths.weights[others]
-                extended.show(frames, 1.0)
+                                            paths.threshold)
+                with paths.beside([extended.source]):
+                    excess = np.array([paths.statistic(other, paths.residual_statistic(other))
+                                       for other in others]) - paths.penalties[others]
             if excess.max() <= 0:
                 return members, extended if self._explains(extended, members) else None
             # What the one target leaves there is worth a path.
             others = np.delete(others, np.argmax(excess))
         return others, None
 
-    def _explains(self, extended, members):
+    def _explains(self, extended: ExtendedTarget, members: NDArray[np.int64]) -> bool:
         """Return whether a target explains as much as the paths that it would stand for."""
         paths, model = self._paths, self._paths.model
         _, seen, envelope = together(*paths.joint_parts(members), model)
         in_proportion = 0.5 * model.statistic(seen, envelope)**2
         objective, _, _ = paths.fitted(members, 0.0)
-        free = 0.5 * float(np.sum(paths.weights[members]**2)) - objective
+        free = 0.5 * float(np.sum(paths.penalties[members]**2)) - objective
         n_axes = sum(side > 1 for side in paths.frames.shape[1:])
-        n_numbers = model.n_numbers(len(paths.frames))
+        n_others = len(members) - 1
+        # Amplitudes that the paths have more than the target, which is there in frames of its own.
+        n_present = int(np.count_nonzero(np.isfinite(extended.positions[:, 0])))
+        n_amplitudes = (sum(model.n_numbers(paths.n_present(path)) for path in members)
+                        - model.n_numbers(n_present))
         chance_of_shape = CHANCE if n_axes > 1 else CHANCE_ON_A_LINE
         return all(
             energy - extended.energy <= 0.5 * chdtri(
-                (len(members) - 1) * (numbers + PER_AXIS * n_axes) - extended.n_shares, chance)
+                max(numbers + n_others * PER_AXIS * n_axes - extended.n_shares, 1), chance)
             for energy, numbers, chance in (
-                (in_proportion, 1, chance_of_shape), (free, n_numbers, CHANCE_FREE)))
+                (in_proportion, n_others, chance_of_shape), (free, n_amplitudes, CHANCE_FREE)))
 
-    def _replace(self, found):
+    def _replace(self, found: list[tuple[NDArray[np.int64], ExtendedTarget]]) -> None:
         """Let targets stand for their paths, and drop paths around them that are not needed."""
         paths = self._paths
-        extended_targets = [extended for _, extended in found]
+        sources = [extended.source for _, extended in found]
         taken = np.concatenate([members for members, _ in found])
         around = np.unique(np.concatenate([paths.neighbours(path) for path in taken]))
         around = np.setdiff1d(around, taken)
         paths.assign(taken, np.zeros_like(paths.amplitudes[taken]))
-        for extended in extended_targets:
-            extended.show(paths.residual, -1.0)
-        dropped = [_not_needed(paths, around, extended_targets)]
-        for members, extended in found:
-            extended.show(paths.residual, 1.0)
-            self._move(members[0], extended)
-            extended.show(paths.residual, -1.0)
+        with paths.beside(sources):
+            dropped = [self._not_needed(around, sources)]
+        for number, (members, extended) in enumerate(found):
+            with paths.beside(sources[:number] + sources[number + 1:]):
+                self._move(members[0], extended)
             dropped.append(members[1:])
-        for extended in extended_targets:
-            extended.show(paths.residual, 1.0)
         for members, _ in found:
-            _set(paths, members[0], paths.best(members[0]))
+            self._set(members[0], paths.best(members[0]))
         paths.remove(np.concatenate(dropped))
 
-    def _move(self, path, extended):
+    def _move(self, path: int, extended: ExtendedTarget) -> None:
         """Put a path without amplitudes where its target is seen best."""
         paths = self._paths
         own = (paths.statistic(path, paths.residual_statistic(path)), paths.positions[path],
@@ -182,31 +179,31 @@ class DuplicateSearch:
         if paths.statistic(path, paths.residual_statistic(path)) < own[0]:
             paths.move(path, own[1], own[2])
 
+    def _not_needed(self, around: NDArray[np.int64], sources: list[Source],
+                    ) -> NDArray[np.int64]:
+        """Drop from the fit the paths that do not pass their penalty on what all others leave.
 
-def _not_needed(paths, around, extended_targets):
-    """Drop from the fit the paths that do not pass their weight on what all others leave.
+        A ghost may have gone from one target to the next.
+        """
+        paths = self._paths
+        dropped = []
+        kept = around[np.argsort(-np.linalg.norm(paths.amplitudes[around], axis=1))]
+        for path in kept[::-1]:
+            self._set(path, np.zeros_like(paths.amplitudes[path]))
+            others = kept[kept != path]
+            for _ in range(SWEEPS):
+                for source in sources:
+                    paths.fit_source(source)
+                for other in others:
+                    seen = paths.amplitudes[other] + paths.residual_statistic(other)
+                    self._set(other, paths.best(other, seen))
+            seen = paths.residual_statistic(path)
+            if paths.statistic(path, seen) > paths.penalties[path]:
+                self._set(path, paths.best(path, seen))
+            else:
+                dropped.append(path)
+                kept = others
+        return np.array(dropped, np.int64)
 
-    A ghost may have gone from one target to the next.
-    """
-    dropped = []
-    kept = around[np.argsort(-np.linalg.norm(paths.amplitudes[around], axis=1))]
-    for path in kept[::-1]:
-        _set(paths, path, np.zeros_like(paths.amplitudes[path]))
-        others = kept[kept != path]
-        for _ in range(SWEEPS):
-            for extended in extended_targets:
-                extended.fit(paths.residual, paths.model)
-            for other in others:
-                seen = paths.amplitudes[other] + paths.residual_statistic(other)
-                _set(paths, other, paths.best(other, seen))
-        seen = paths.residual_statistic(path)
-        if paths.statistic(path, seen) > paths.weights[path]:
-            _set(paths, path, paths.best(path, seen))
-        else:
-            dropped.append(path)
-            kept = others
-    return np.array(dropped, np.int64)
-
-
-def _set(paths, path, amplitudes):
-    paths.assign(np.array([path]), amplitudes[None])
+    def _set(self, path: int, amplitudes: NDArray) -> None:
+        self._paths.assign(np.array([path]), amplitudes[None])

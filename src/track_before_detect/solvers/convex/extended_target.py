@@ -18,11 +18,12 @@ from scipy.linalg import eigh
 from scipy.optimize import minimize_scalar
 
 from track_before_detect.kernels.psf import psf_stamps as stamp_kernels
-from track_before_detect.kernels.psf.measurement import render_path
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.psf import GaussianPsf, LEAST_SIGMA_PX
+from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.motion.state_graph import StateGraph
-from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.models.presence import Presence
+from track_before_detect.solvers.convex.working_set import PsfStamps, Source, StampRenderer
+from track_before_detect.solvers.refine.refinement import refiner_for
 
 # Widths of a target that are tried, over that of the PSF.
 WIDTHS = (0.5, 3.0)
@@ -36,27 +37,22 @@ ROUNDS = 2
 ROUNDING = 1e-6
 
 
-@dataclass
+@dataclass(frozen=True)
 class ExtendedTarget:
     """One target with a shape of its own.
 
     Attributes
     ----------
     positions : array, shape (T, 2)
-        x and y in pixels.
+        x and y in pixels, NaN where it is absent.
     cost : float
-        Of the turns of its path.
+        Of the turns of its path and of being present.
     width_px : float
         Standard deviation of the one Gaussian that explains most.
     n_shares : int
         Gaussians of the shape.
-    stamps : array, shape (T, K, K)
-        Of unit norm.
-    origins : array, shape (T, 2)
-        Pixel (x, y) of ``stamps[t, 0, 0]``.
-    envelope : array, shape (T,)
-        See :meth:`AmplitudeModel.envelope`.
-    amplitudes : array, shape (T,)
+    source : Source
+        Its stamps and amplitudes.
     energy : float
         What it takes off half the squared norm of the frames that it was fitted to.
     """
@@ -65,23 +61,8 @@ class ExtendedTarget:
     cost: float
     width_px: float
     n_shares: int
-    stamps: NDArray[np.float64]
-    origins: NDArray[np.int64]
-    envelope: NDArray[np.float64]
-    amplitudes: NDArray
+    source: Source
     energy: float
-
-    def show(self, frames: NDArray, sign: float) -> None:
-        """Add the target to frames, or take it off."""
-        stamp_kernels.accumulate(frames, self.stamps, self.origins, sign * self.amplitudes)
-
-    def fit(self, residual: NDArray, model: AmplitudeModel) -> None:
-        """Fit the amplitudes again to a residual, and bring that up to date."""
-        seen = np.empty_like(self.amplitudes)
-        stamp_kernels.correlate(self.stamps, self.origins, residual, seen)
-        self.show(residual, 1.0)
-        self.amplitudes = model.best(self.amplitudes + seen, self.envelope)
-        self.show(residual, -1.0)
 
 
 class ExtendedTargetFitter:
@@ -91,23 +72,26 @@ class ExtendedTargetFitter:
     ----------
     graph : StateGraph
         Bounds the speed and prices the turns.
+    measurement : MeasurementModel
+        What a target of the PSF looks like.
     times : array, shape (T,)
         In the unit of time of the graph.
-    weights : float32 array, shape (T, H, W), (1, H, W) or (0, 0, 0)
+    pixel_weights : float32 array, shape (T, H, W), (1, H, W) or (0, 0, 0)
         One over the noise of each pixel; of no frames where it is one.
     model : AmplitudeModel
         Of the amplitudes.
-    width_px : float
-        Width of the PSF.
+    presence : Presence or None
+        Cost of being present; None where targets are there in every frame.
     """
 
-    def __init__(self, graph: StateGraph, times: NDArray, weights: NDArray,
-                 model: AmplitudeModel, width_px: float):
+    def __init__(self, graph: StateGraph, measurement: MeasurementModel, times: NDArray,
+                 pixel_weights: NDArray, model: AmplitudeModel, presence: Presence | None):
         self._graph = graph
+        self._measurement = measurement
         self._times = times
-        self._weights = weights
+        self._weights = pixel_weights
         self._model = model
-        self._ends = [math.log(max(factor * width_px, LEAST_SIGMA_PX)) for factor in WIDTHS]
+        self._presence = presence
 
     def fit(self, frames: NDArray, positions: NDArray, cost: float,
             threshold: float) -> ExtendedTarget:
@@ -120,60 +104,63 @@ class ExtendedTargetFitter:
         positions : array, shape (T, 2)
             Path to begin with.
         cost : float
-            Of its turns.
+            Of its turns and of being present.
         threshold : float
-            lambda of a path without turns.
+            lambda of a path without any cost.
         """
         model = self._model
         for _ in range(ROUNDS):
             width = self._width(frames, positions)
-            refiner = Refiner(self._graph, GaussianPsf(width), self._times, self._weights, model)
-            positions, cost = refiner.refine(frames, positions, cost, threshold, 0.0)
+            refiner = refiner_for(self._graph, self._measurement.gaussian(width), self._times,
+                                  self._weights, model, self._presence)
+            positions, cost = (refiner.refine(frames, positions, cost, threshold, 0.0)
+                               or (positions, cost))
         factors = SHAPE if min(frames.shape[1:]) > 1 else SHAPE_ON_A_LINE
-        parts, origins = self._parts(
-            frames, positions, [max(factor * width, LEAST_SIGMA_PX) for factor in factors])
-        seen = np.empty((len(parts), len(frames)), complex if model.is_complex else float)
-        for part, row in zip(parts, seen, strict=True):
-            stamp_kernels.correlate(part, origins, frames, row)
+        parts, origins = self._parts(frames, positions, [factor * width for factor in factors])
+        seen = np.array([self._seen(frames, part, origins) for part in parts])
         overlaps = np.einsum('ityx,jtyx->ijt', parts, parts)
         mixture, seen, envelope = together(seen, overlaps, model)
+        stamps = PsfStamps(np.einsum('it,ityx->tyx', mixture, parts), origins, envelope)
         return ExtendedTarget(positions, cost, width, len(parts),
-                    np.einsum('it,ityx->tyx', mixture, parts), origins, envelope,
-                    model.best(seen, envelope), 0.5 * model.statistic(seen, envelope)**2)
+                              Source(stamps, envelope, model.best(seen, envelope)),
+                              0.5 * model.statistic(seen, envelope)**2)
 
-    def _width(self, frames, positions):
+    def _width(self, frames: NDArray, positions: NDArray) -> float:
         """Return the width of the Gaussian that explains most along a path."""
 
-        def missed(log_width):
-            stamps, origins, norms = self._render(frames, positions, math.exp(log_width))
-            seen = np.empty(len(frames), complex if self._model.is_complex else float)
-            stamp_kernels.correlate(stamps, origins, frames, seen)
-            return -self._model.statistic(seen, self._model.envelope(norms))
+        def missed(log_width: float) -> float:
+            stamps = self._render(frames, positions, math.exp(log_width))
+            seen = self._seen(frames, stamps.pictures, stamps.origins)
+            return -self._model.statistic(seen, self._model.envelope(stamps.norms))
 
-        return math.exp(minimize_scalar(missed, bounds=self._ends, method='bounded',
+        ends = [math.log(factor * self._measurement.width_px) for factor in WIDTHS]
+        return math.exp(minimize_scalar(missed, bounds=ends, method='bounded',
                                         options={'xatol': 0.02}).x)
 
-    def _parts(self, frames, positions, widths):
-        """Return stamps (N, T, K, K) of one brightness, and where they are."""
-        rendered = [self._render(frames, positions, width) for width in widths]
-        size = max(stamps.shape[1] for stamps, _, _ in rendered)
-        parts = []
-        for stamps, _, norms in rendered:
-            margin = 2 * [(size - stamps.shape[1]) // 2]
-            parts.append(np.pad(norms[:, None, None] * stamps, ((0, 0), margin, margin)))
-        widest = max(rendered, key=lambda one: one[0].shape[1])
-        return np.array(parts), widest[1]
+    def _seen(self, frames: NDArray, pictures: NDArray, origins: NDArray) -> NDArray:
+        seen = np.empty(len(frames), complex if self._model.is_complex else float)
+        stamp_kernels.correlate(pictures, origins, frames, seen)
+        return seen
 
-    def _render(self, frames, positions, width_px):
-        psf = GaussianPsf(width_px)
-        n_frames, height, width = frames.shape
-        size = 2 * psf.half_width + 1
-        stamps = np.empty((n_frames, size, size))
-        origins = np.empty((n_frames, 2), np.int64)
-        norms = np.empty(n_frames)
-        render_path(psf.compiled(), positions, height, width, self._weights, stamps, origins,
-                    norms)
-        return stamps, origins, norms
+    def _parts(self, frames: NDArray, positions: NDArray, widths: list[float],
+               ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return stamps (N, T, K, K) of one brightness, and where they are, (T, 2)."""
+        rendered = [self._render(frames, positions, width) for width in widths]
+        origins = np.min([stamps.origins for stamps in rendered], axis=0)
+        # How far within the common stamp each begins; sensors have stamps of their own sizes.
+        begins = [stamps.origins - origins for stamps in rendered]
+        size = max(stamps.pictures.shape[1] + int(begin.max())
+                   for stamps, begin in zip(rendered, begins, strict=True))
+        parts = np.zeros((len(rendered), len(frames), size, size))
+        for part, stamps, begin in zip(parts, rendered, begins, strict=True):
+            own = stamps.pictures.shape[1]
+            for t, (x, y) in enumerate(begin):
+                part[t, y:y + own, x:x + own] = stamps.norms[t] * stamps.pictures[t]
+        return parts, origins
+
+    def _render(self, frames: NDArray, positions: NDArray, width_px: float) -> PsfStamps:
+        return StampRenderer(self._measurement.gaussian(width_px), frames.shape,
+                             self._weights).render(positions)
 
 
 def together(seen: NDArray, overlaps: NDArray, model: AmplitudeModel,

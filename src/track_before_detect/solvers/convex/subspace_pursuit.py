@@ -17,23 +17,26 @@ residual shows less than in the stage before, and the last stage has the final w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect.solvers.convex.working_set import FIT_GAP, WorkingSet
-from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.refine.refinement import PathRefiner
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
 from track_before_detect.types import Step
+
+StepT = TypeVar('StepT')
 
 # Paths added before the residual is searched again; each is tested on the residual it meets.
 MOST_NEW_PATHS = 256
 # No scene that can be told apart holds more; frames whose noise is far above one would.
 MOST_PATHS = 500
-# Work of all fits of a batch, as a WorkingSet counts it, after which nothing more is fitted: some
-# half a minute of one core. 200 targets of SNR 20 in 256 x 256 pixels take 3e5 and 60 of SNR 30 in
-# 64 x 64 pixels 3e7, but where the noise is far above one there is no end of overlapping paths.
+# Work of all fits of a batch, as a WorkingSet counts it, after which nothing more is fitted: where
+# the noise is far above one there is no end of overlapping paths (docs/constants/convex.md).
 MOST_WORK = 2e8
 # Two paths that share this much of their energy in the mean frame may be one target.
 ALIKE = 0.3
@@ -44,11 +47,9 @@ WORTHWHILE = 0.5
 # A change has to lower F_t by more than the rounding of the sums and of the amplitudes.
 LEAST_GAIN = 1e-3
 # Merging two paths of one frame has to lower F_0 by more. The price of a path allows for all the
-# places noise may look like a target at; one path beside another has but a few. Pairs of
-# SNR 12 two widths of the PSF apart (threshold 5) stay two in 93.5 % of 200 scenes without it, in
-# 98.0 % of 400 at 2.5 and in 98.8 % at 3.75 and 5.0. Those of SNR 30 become three in 0.5, 1.0 and
-# 2.2 % of 400. Each further frame gives two paths one more amplitude to follow the noise with, and
-# half a unit of F_0, which is taken off.
+# places noise may look like a target at; one path beside another has but a few. Each further frame
+# gives two paths one more amplitude to follow the noise with, and half a unit of F_0, which is
+# taken off (docs/constants/convex.md).
 MERGING_GAIN = 3.75
 NOISE_PER_FRAME = 0.5
 # Rounds in which a convex solution that is the result may move its paths off the grid. After them
@@ -108,7 +109,7 @@ class PursuitResult:
     gap: float
 
 
-def pursue(search: PathSearch, refiner: Refiner, paths: WorkingSet, separation: float,
+def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separation: float,
            settings: PursuitSettings, start: Sequence[FoundPath] = ()) -> PursuitResult:
     """Find all paths jointly.
 
@@ -116,7 +117,7 @@ def pursue(search: PathSearch, refiner: Refiner, paths: WorkingSet, separation: 
     ----------
     search : PathSearch
         Finds the best path on a residual.
-    refiner : Refiner
+    refiner : PathRefiner
         Moves a path off the grid.
     paths : WorkingSet
         Starts empty.
@@ -150,8 +151,8 @@ def pursue(search: PathSearch, refiner: Refiner, paths: WorkingSet, separation: 
 def duality_gap(paths: WorkingSet, largest: float) -> float:
     """Return the duality gap of F_1 at the present amplitudes.
 
-    The residual, scaled down until no path passes its weight, is feasible for the dual; one
-    scale serves all weights w^2 = threshold^2 + cost, since costs only help once scaled.
+    The residual, scaled down until no path passes its penalty, is feasible for the dual; one
+    scale serves all penalties w^2 = threshold^2 + cost, since costs only help once scaled.
 
     Parameters
     ----------
@@ -167,7 +168,7 @@ def duality_gap(paths: WorkingSet, largest: float) -> float:
     left = paths.matched - explained
     seen = np.array([paths.statistic(path, row) for path, row in enumerate(left)])
     if len(paths):
-        scale = min(scale, float(np.min(paths.weights / np.maximum(seen, 1e-300))))
+        scale = min(scale, float(np.min(paths.penalties / np.maximum(seen, 1e-300))))
     fit = np.vdot(paths.amplitudes, explained).real
     cross = np.vdot(paths.amplitudes, paths.matched).real
     residual_energy = paths.energy - cross + 0.5 * fit
@@ -176,10 +177,16 @@ def duality_gap(paths: WorkingSet, largest: float) -> float:
     return max(0.0, paths.objective(1.0) - float(dual))
 
 
+def state_of(paths: WorkingSet, t_convex: float, violation: float = float('nan')) -> Step:
+    """Return the present state as a step of the history, the violation where it is known."""
+    return Step(t_convex, paths.objective(t_convex), len(paths), violation)
+
+
 class _Stage:
     """The pursuit at one value of t."""
 
-    def __init__(self, search, refiner, paths, separation, t_convex, last):
+    def __init__(self, search: PathSearch, refiner: PathRefiner, paths: WorkingSet,
+                 separation: float, t_convex: float, last: bool):
         self._search = search
         self._refiner = refiner
         self._paths = paths
@@ -196,14 +203,25 @@ class _Stage:
         self._last = last
         self._most_passes = MOST_PASSES if last and t_convex < 1 else 1
         self._cut_short = False
+        # Ids of the paths that took the place of others, and moved for it, in this pass.
+        self._merged_into: set[int] = set()
 
-    def begin(self, start):
+    def begin(self, start: Iterable[FoundPath]) -> None:
         """Add the paths to start with that are worth it."""
         for path in self._while_affordable(start):
             self._try_adding(path)
 
-    def run(self, tolerance, most_rounds, history):
-        """Alternate between improving the paths at hand and searching for new ones."""
+    def run(self, tolerance: float, most_rounds: int, history: list[Step],
+            ) -> tuple[float, bool]:
+        """Alternate between improving the paths at hand and searching for new ones.
+
+        Returns
+        -------
+        largest : float
+            Largest value of any path on the residual.
+        finished : bool
+            Whether the stage reached its end.
+        """
         paths = self._paths
         bound = paths.model.value(paths.threshold * (1 + tolerance))
         # The last word is with the refined paths, and their threshold: what is on the grid of a
@@ -220,7 +238,7 @@ class _Stage:
             largest, found = self._search.best_paths(
                 paths.residual, level, separation, self._is_new(separation), MOST_NEW_PATHS)
             violation = paths.model.from_value(largest) / paths.threshold - 1
-            history.append(Step(self._t, paths.objective(self._t), len(paths), violation))
+            history.append(state_of(paths, self._t, violation))
             if not found:
                 return largest, fitted and largest <= bound
             if len(paths) >= MOST_PATHS:
@@ -237,17 +255,18 @@ class _Stage:
             if not self._certified:
                 # The best path does not lower F_t once the others are fitted with it.
                 return largest, self._t < 1
+        # The last round may have added paths.
+        history.append(state_of(paths, self._t))
         return largest, False
 
-    def polish(self, history):
+    def polish(self, history: list[Step]) -> bool:
         """Improve the paths at hand: shrinking less, they leave less for others to find."""
         fitted = self._improve()
         self._paths.refresh()
-        history.append(Step(self._t, self._paths.objective(self._t), len(self._paths),
-                            float('nan')))
+        history.append(state_of(self._paths, self._t))
         return fitted
 
-    def _while_affordable(self, steps):
+    def _while_affordable(self, steps: Iterable[StepT]) -> Iterator[StepT]:
         """Yield what is to be fitted next until the fits of the batch have taken enough.
 
         Every loop that fits goes through here, so that a stage which has to end runs out of steps.
@@ -258,11 +277,11 @@ class _Stage:
                 return
             yield step
 
-    def _is_new(self, separation):
+    def _is_new(self, separation: float) -> Callable[[NDArray], bool]:
         """Return a test for paths that still pass the threshold beside those found so far."""
         taken = np.empty((0, self._paths.frames.shape[0], 2))
 
-        def is_new(positions):
+        def is_new(positions: NDArray) -> bool:
             nonlocal taken
             distance = np.hypot(*(positions - taken).transpose(2, 0, 1))
             near = np.count_nonzero(distance < separation, axis=1)
@@ -273,15 +292,14 @@ class _Stage:
 
         return is_new
 
-    def _try_adding(self, found):
-        """Add a path if it still passes its weight and F_t falls."""
+    def _try_adding(self, found: FoundPath) -> bool:
+        """Add a path if it still passes its penalty and F_t falls."""
         paths = self._paths
         if not paths.may_pass(found.positions, found.cost):
             return False
-        paths.add(found.positions, found.cost)
-        added = len(paths) - 1
+        added = paths.add(found.positions, found.cost)
         self._refine(added)
-        if paths.statistic(added) <= paths.weights[added]:
+        if paths.statistic(added) <= paths.penalties[added]:
             paths.remove(np.array([added]))
             return False
         members = paths.neighbours(added)
@@ -293,36 +311,36 @@ class _Stage:
         paths.remove(np.array([added]))
         return False
 
-    def _add_violating(self, found, tolerance):
-        """Add a path of the grid as it is when it passes its weight, the amplitudes fixed."""
+    def _add_violating(self, found: FoundPath, tolerance: float) -> bool:
+        """Add a path of the grid as it is when it passes its penalty, the amplitudes fixed."""
         paths = self._paths
-        paths.add(found.positions, found.cost)
-        added = len(paths) - 1
-        if paths.statistic(added) > (1 + tolerance) * paths.weights[added]:
+        added = paths.add(found.positions, found.cost)
+        if paths.statistic(added) > (1 + tolerance) * paths.penalties[added]:
             return True
         paths.remove(np.array([added]))
         return False
 
-    def _fit_all(self):
+    def _fit_all(self) -> bool:
+        """Fit all amplitudes; return whether that converged."""
         fitted = True
         for members in self._while_affordable(self._paths.clusters()):
             fitted = self._fit(members) and fitted
         self._drop_empty()
         return fitted and not self._cut_short
 
-    def _improve(self):
-        """Fit, refine, merge and remove paths for as long as F_t falls."""
+    def _improve(self) -> bool:
+        """Fit, refine, merge and remove paths for as long as F_t falls; return as above."""
         paths = self._paths
         fitted = self._fit_all()
         for _ in range(self._most_passes):
             before = paths.objective(self._t)
             order = np.argsort(np.linalg.norm(paths.amplitudes, axis=1))
-            # Paths are told apart by their arrays, for removing one renumbers the rest.
-            for positions in self._while_affordable([paths.positions[p] for p in order]):
-                path = next((p for p, other in enumerate(paths.positions)
-                             if other is positions), None)
-                if path is None:
+            self._merged_into.clear()
+            # Removing a path renumbers the rest, their ids stay.
+            for path_id in self._while_affordable([paths.ids[p] for p in order]):
+                if path_id not in paths.ids or path_id in self._merged_into:
                     continue
+                path = paths.ids.index(path_id)
                 if not self._remove_if_better(path) and self._refine(path):
                     # A stage before the last fits its neighbours once, when all have moved.
                     self._fit(paths.neighbours(path) if self._last else np.array([path]))
@@ -335,17 +353,17 @@ class _Stage:
             self._prune()
         return fitted and not self._cut_short
 
-    def _prune(self):
-        """Remove paths that no longer pass their weight beside all others, the weakest first.
+    def _prune(self) -> None:
+        """Remove paths that no longer pass their penalty beside all others, the weakest first.
 
         With the others as they are, F_t falls by 1/2 (1 - t)^2 w^2 - 1/2 (eta - t w)^2, which is
-        positive exactly when the statistic eta is below the weight w.
+        positive exactly when the statistic eta is below the penalty w.
         """
         paths = self._paths
         # Each step removes a path, or nothing is left to remove.
         for _ in self._while_affordable(range(len(paths))):
             excess = np.array([paths.statistic(path)
-                               for path in range(len(paths))]) - paths.weights
+                               for path in range(len(paths))]) - paths.penalties
             weakest = int(np.argmin(excess))
             if excess[weakest] >= 0:
                 return
@@ -355,17 +373,18 @@ class _Stage:
             if len(others):
                 self._fit(others - (others > weakest))
 
-    def _fit(self, members):
+    def _fit(self, members: NDArray) -> bool:
+        """Fit some amplitudes, all others fixed; return whether that converged."""
         _, amplitudes, converged = self._paths.fitted(members, self._t, self._fit_gap)
         self._paths.assign(members, amplitudes)
         return converged
 
-    def _drop_empty(self):
+    def _drop_empty(self) -> None:
         empty = np.flatnonzero(~np.any(self._paths.amplitudes, axis=1))
         if len(empty):
             self._paths.remove(empty)
 
-    def _refine(self, path):
+    def _refine(self, path: int) -> bool:
         """Move one path, the others fixed; True when it moved."""
         paths = self._paths
         # The best place for a path that overlaps no other depends on neither t nor the others.
@@ -373,19 +392,19 @@ class _Stage:
         if alone and paths.settled[path]:
             return False
         with paths.without(path) as frames:
-            positions, cost = self._refiner.refine(
+            better = self._refiner.refine(
                 frames, paths.positions[path], paths.costs[path], paths.threshold, self._t)
-        if positions is paths.positions[path]:
+        if better is None:
             paths.settled[path] = alone
             return False
-        paths.move(path, positions, cost)
+        paths.move(path, *better)
         return True
 
-    def _remove_if_better(self, path):
+    def _remove_if_better(self, path: int) -> bool:
         """Remove a path, or merge it into its nearest neighbour, when that lowers F_t."""
         paths = self._paths
         members = paths.neighbours(path)
-        # A path that overlaps no other pays while it passes its weight, which pruning asks.
+        # A path that overlaps no other pays while it passes its penalty, which pruning asks.
         if self._t == 1.0 or len(members) == 1:
             return False
         before = paths.objective_of(members, self._t)
@@ -400,7 +419,7 @@ class _Stage:
             return False
         return self._merge(path, int(others[np.argmax(alike)]), members, before)
 
-    def _merge(self, path, other, members, before):
+    def _merge(self, path: int, other: int, members: NDArray, before: float) -> bool:
         """Let one path explain what two explained, when that lowers F_t."""
         paths = self._paths
         kept = (paths.amplitudes.copy(), paths.positions[other], paths.costs[other])
@@ -408,11 +427,13 @@ class _Stage:
         paths.assign(np.array([path]), np.zeros((1, paths.amplitudes.shape[1])))
         _, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
         paths.assign(others, amplitudes)
-        self._refine(other)
+        moved = self._refine(other)
         after, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
         margin = max(MERGING_GAIN - NOISE_PER_FRAME * (len(paths.frames) - 1), 0.0)
         if after < before - LEAST_GAIN - margin * (1 - self._t)**2:
             paths.assign(others, amplitudes)
+            if moved:
+                self._merged_into.add(paths.ids[other])
             paths.remove(np.array([path]))
             return True
         paths.move(other, kept[1], kept[2])

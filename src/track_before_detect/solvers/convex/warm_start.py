@@ -30,12 +30,12 @@ def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int
     Parameters
     ----------
     graph : StateGraph
-        Of the batch to be searched, without a coupling.
+        Of the batch to be searched.
     times : array, shape (T,)
         Of its frames, in any unit.
     grid_shape : tuple of int
-        (Y, X) of the positions that are searched.
-    earlier : Earlier
+        (Y, X) of the grid positions of a frame.
+    earlier : EarlierPaths
         What the batch before found.
     presence : Presence, optional
         Cost of being present, where a path may be absent from some frames.
@@ -51,25 +51,38 @@ def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int
     if not seen:
         return []
     span = float(np.ptp(times)) / graph.n_segments
-    wanted = np.array([_carried_on(earlier.positions[number], present[number], times, span)
-                       for number in seen])
+    # On this plane a target of constant velocity, or of constant Doppler, goes straight on.
+    coupling = graph.coupling
+    wanted = np.array([
+        _carried_on(coupling.on_plane(positions) if coupling else positions, present[number],
+                    times, span)
+        for number, positions in enumerate(earlier.positions) if number in seen])
     paths, turns = _nearest_paths(graph, wanted / graph.step_px)
-    inside = np.all((paths >= 0) & (paths < grid_shape[::-1]), axis=(1, 2))
+    if coupling:
+        shifts = coupling.shifts(grid_shape[1], graph.step_px)
+        columns = np.clip(paths[..., 0].astype(int), 0, grid_shape[1] - 1)
+        paths[..., 1] += shifts[np.arange(n_frames), columns]
+    inside = np.all((paths >= 0) & (paths < grid_shape[::-1]), axis=2)
     found = []
-    for row in np.flatnonzero(inside & np.isfinite(turns)):
+    for row in np.flatnonzero(np.isfinite(turns)):
         path, cost = paths[row] * graph.step_px, float(graph.turn_cost * turns[row])
+        first, last = 0, n_frames - 1
         if presence is not None:
-            # A target that has not left by the last common frame is still there in the new ones.
+            # A target that has not left by the last common frame is still there in the new ones,
+            # until it leaves the frame.
             there = present[seen[row]]
             there = there | (~known & there[np.flatnonzero(known)[-1]])
             first, last = (int(frame) for frame in np.flatnonzero(there)[[0, -1]])
+            last = first + int(np.argmin(np.append(inside[row, first:last + 1], False))) - 1
             path[:first] = path[last + 1:] = np.nan
             cost += presence.cost(first, last, n_frames)
-        found.append(FoundPath(path, float('nan'), cost))
+        if first <= last and inside[row, first:last + 1].all():
+            found.append(FoundPath(path, float('nan'), cost))
     return found
 
 
-def _carried_on(positions, present, times, span):
+def _carried_on(positions: NDArray, present: NDArray, times: NDArray,
+                span: float) -> NDArray[np.float64]:
     """Return a path in all frames: straight on beyond its ends at the velocity near them."""
     seen, at = times[present], positions[present]
     out = np.stack([np.interp(times, seen, column) for column in at.T], axis=1)
@@ -84,7 +97,7 @@ def _carried_on(positions, present, times, span):
     return out
 
 
-def _nearest_paths(graph, wanted):
+def _nearest_paths(graph: StateGraph, wanted: NDArray) -> tuple[NDArray, NDArray]:
     """Return the paths (P, T, 2) of the graph near positions, in grid steps, and their turns (P,).
 
     From every start near the first position the velocities follow one by one, each the one that

@@ -20,9 +20,7 @@ from track_before_detect.models.motion.state_graph import StateGraph
 TURNS_PER_DEGREE = 4.0
 HIGHEST_DEGREE = 3
 # A path this many grid steps longer than a target gets at its largest speed costs as much as one
-# turn; it grows as the square. Of the batches of noise that pass the threshold one in five has a
-# path that is too long, while the speed of a target of SNR 1.5 in 20 frames is known to 0.03
-# px/frame, which costs half a unit of a squared statistic of 70 where it moves as fast as may be.
+# turn; it grows as the square (docs/constants/refine.md).
 OVERLONG_STEPS = 2.5
 
 
@@ -33,18 +31,18 @@ class SmoothMotions(ABC):
     ----------
     graph : StateGraph
         Bounds the speed and prices the turns.
-    stamps : array, shape (T,)
+    times : array, shape (T,)
         In the unit of time of the graph.
     """
 
-    def __init__(self, graph: StateGraph, stamps: NDArray):
+    def __init__(self, graph: StateGraph, times: NDArray):
         self._graph = graph
-        self._stamps = stamps
-        middle = 0.5 * (stamps[0] + stamps[-1])
-        half_span = max(0.5 * (stamps[-1] - stamps[0]), 1e-9)
+        self._times = times
+        middle = 0.5 * (times[0] + times[-1])
+        half_span = max(0.5 * (times[-1] - times[0]), 1e-9)
         self._legendre = np.polynomial.legendre.legvander(
-            (stamps - middle) / half_span, HIGHEST_DEGREE)
-        self._hats = _hat_functions(stamps, stamps[graph.knots[:-1]])
+            (times - middle) / half_span, HIGHEST_DEGREE)
+        self._hats = _hat_functions(times, times[graph.knots[:-1]])
 
     @abstractmethod
     def candidates(self, positions: NDArray, cost: float,
@@ -71,29 +69,29 @@ class SmoothMotions(ABC):
         turns = float(self._graph.turn_cost * steps / self._graph.velocity_step)
         return max(turns, self._price(self._hats.shape[1] - 1))
 
-    def _price(self, degree):
+    def _price(self, degree: int) -> float:
         """Cost of a motion with as many parameters as a polynomial of this degree."""
         return TURNS_PER_DEGREE * self._graph.turn_cost * max(0, degree - 1)
 
-    def _segment_change(self, values):
+    def _segment_change(self, values: NDArray) -> NDArray:
         """Return the mean rate of change of values (T, ...) over each segment."""
         knots = self._graph.knots
         ends = np.append(knots[1:-1], len(values) - 1)
-        elapsed = self._stamps[ends] - self._stamps[knots[:-1]]
+        elapsed = self._times[ends] - self._times[knots[:-1]]
         change = values[ends] - values[knots[:-1]]
         keep = elapsed > 0
         return change[keep] / elapsed[keep].reshape(-1, *[1] * (values.ndim - 1))
 
 
-class PlaneMotions(SmoothMotions):
+class _PlaneMotions(SmoothMotions):
     """Motions whose two components are free of each other."""
 
-    def __init__(self, graph: StateGraph, stamps: NDArray):
-        super().__init__(graph, stamps)
+    def __init__(self, graph: StateGraph, times: NDArray):
+        super().__init__(graph, times)
         speeds = np.hypot(graph.velocities[:, 0], graph.velocities[:, 1])
         self._max_speed = float(speeds.max()) + graph.velocity_step
-        self._moving = float(speeds.max()) > 0 and len(stamps) > 1
-        degrees = range(1, min(HIGHEST_DEGREE, len(stamps) - 1) + 1) if self._moving else (0,)
+        self._moving = float(speeds.max()) > 0 and len(times) > 1
+        degrees = range(1, min(HIGHEST_DEGREE, len(times) - 1) + 1) if self._moving else (0,)
         self._polynomials = []
         for degree in degrees:
             basis = self._legendre[:, :degree + 1]
@@ -104,7 +102,6 @@ class PlaneMotions(SmoothMotions):
 
     def candidates(self, positions: NDArray, cost: float,
                    ) -> Iterator[tuple[NDArray, NDArray, float | None]]:
-        """Yield start (T, 2), basis (T, 2, B) and cost of each family; cost None: by its turns."""
         for basis, projection, both, degree in self._polynomials:
             yield basis @ (projection @ positions), both, self._price(degree)
         if self._moving:
@@ -114,8 +111,7 @@ class PlaneMotions(SmoothMotions):
             yield positions, self._hats_in_plane, None
 
     def allowed(self, positions: NDArray) -> bool:
-        """Return whether no step is faster than a target may be."""
-        intervals = np.diff(self._stamps)
+        intervals = np.diff(self._times)
         later = intervals > 0
         moved = np.diff(positions, axis=0)[later]
         speed = np.hypot(moved[:, 0], moved[:, 1]) / intervals[later]
@@ -124,89 +120,85 @@ class PlaneMotions(SmoothMotions):
         return bool(np.all(speed <= self._max_speed + slack))
 
     def overspeed_cost(self, positions: NDArray) -> float:
-        """Return what a motion costs for being faster than a target should be."""
         if not self._moving:
             return 0.0
         steps = np.diff(positions, axis=0)
         length = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
-        farthest = self._graph.max_speed * float(self._stamps[-1] - self._stamps[0])
+        farthest = self._graph.max_speed * float(self._times[-1] - self._times[0])
         overlong = max(0.0, length - farthest) / (OVERLONG_STEPS * self._graph.step_px)
         return self._graph.turn_cost * overlong**2
 
     def velocities(self, positions: NDArray) -> NDArray:
-        """Return the velocity of each segment, shape (J, 2)."""
         return self._segment_change(positions)
 
 
-class RangeDopplerMotions(SmoothMotions):
+class _RangeDopplerMotions(SmoothMotions):
     """Motions over range-Doppler maps: the columns of all frames and one range say all."""
 
-    def __init__(self, graph: StateGraph, stamps: NDArray, coupling: RangeDopplerCoupling):
-        super().__init__(graph, stamps)
+    def __init__(self, graph: StateGraph, times: NDArray, coupling: RangeDopplerCoupling):
+        super().__init__(graph, times)
         self._max_rate = float(np.abs(graph.velocities[:, 0]).max())
-        self._offset = np.zeros((len(stamps), 2))
+        self._offset = np.zeros((len(times), 2))
         self._offset[:, 1] = -coupling.rows_per_column * coupling.still_column * coupling.times
-        highest = min(HIGHEST_DEGREE, len(stamps) - 1) if self._max_rate > 0 else 0
-        families = [(self._legendre[:, :degree + 1], self._price(degree))
-                    for degree in range(highest + 1)]
+        highest = min(HIGHEST_DEGREE, len(times) - 1) if self._max_rate > 0 else 0
+        families: list[tuple[NDArray, float | None]] = [
+            (self._legendre[:, :degree + 1], self._price(degree))
+            for degree in range(highest + 1)]
         if graph.n_segments > 1 and self._max_rate > 0:
             families.append((self._hats, None))
         self._families = []
         for columns, price in families:
-            basis = _with_rows(columns, stamps, coupling.rows_per_column)
-            self._families.append((basis, np.linalg.pinv(basis.reshape(2 * len(stamps), -1)),
+            basis = _with_rows(columns, times, coupling.rows_per_column)
+            self._families.append((basis, np.linalg.pinv(basis.reshape(2 * len(times), -1)),
                                    price))
 
     def candidates(self, positions: NDArray, cost: float,
                    ) -> Iterator[tuple[NDArray, NDArray, float | None]]:
-        """Yield start (T, 2), basis (T, 2, B) and cost of each family; cost None: by its turns."""
         for basis, projection, price in self._families:
             parameters = projection @ (positions - self._offset).ravel()
             yield self._offset + basis @ parameters, basis, price
 
     def allowed(self, positions: NDArray) -> bool:
-        """Return whether the Doppler changes no faster than it may."""
         if len(positions) < 2:
             return True
-        rate = np.diff(positions[:, 0]) / np.diff(self._stamps)
+        rate = np.diff(positions[:, 0]) / np.diff(self._times)
         return bool(np.all(np.abs(rate) <= self._max_rate + self._graph.velocity_step))
 
     def overspeed_cost(self, positions: NDArray) -> float:
-        """Return 0: the columns of a map say how fast a target may be."""
+        # The columns of a map say how fast a target may be.
         return 0.0
 
     def velocities(self, positions: NDArray) -> NDArray:
-        """Return the rate of the Doppler column in each segment, shape (J,)."""
         return self._segment_change(positions[:, 0])
 
 
-def motions_of(graph: StateGraph, stamps: NDArray) -> SmoothMotions:
+def motions_of(graph: StateGraph, times: NDArray) -> SmoothMotions:
     """Return the motions that belong to a state graph."""
     if graph.coupling is not None:
-        return RangeDopplerMotions(graph, stamps, graph.coupling)
-    return PlaneMotions(graph, stamps)
+        return _RangeDopplerMotions(graph, times, graph.coupling)
+    return _PlaneMotions(graph, times)
 
 
-def _with_rows(columns, stamps, rows_per_column):
+def _with_rows(columns: NDArray, times: NDArray, rows_per_column: float) -> NDArray:
     """Return the basis (T, 2, B + 1) of motions whose columns have the basis (T, B)."""
-    steps = 0.5 * (columns[1:] + columns[:-1]) * np.diff(stamps)[:, None]
+    steps = 0.5 * (columns[1:] + columns[:-1]) * np.diff(times)[:, None]
     integral = np.vstack([np.zeros(columns.shape[1]), np.cumsum(steps, axis=0)])
-    basis = np.zeros((len(stamps), 2, columns.shape[1] + 1))
+    basis = np.zeros((len(times), 2, columns.shape[1] + 1))
     basis[:, 0, :-1] = columns
     basis[:, 1, :-1] = rows_per_column * integral
     basis[:, 1, -1] = 1.0
     return basis
 
 
-def _in_plane(basis):
+def _in_plane(basis: NDArray) -> NDArray:
     """Return a basis (T, B) of displacements as one (T, 2, 2 B) in x and y, each for itself."""
     nothing = np.zeros_like(basis)
     return np.ascontiguousarray(np.stack(
         [np.hstack([basis, nothing]), np.hstack([nothing, basis])], axis=1))
 
 
-def _hat_functions(stamps, knots):
-    """Piecewise linear functions of time, one for each knot and one for the last stamp."""
-    nodes = np.unique(np.append(knots, stamps[-1]))
-    rows = [np.interp(stamps, nodes, row) for row in np.eye(len(nodes))]
+def _hat_functions(times: NDArray, knots: NDArray) -> NDArray:
+    """Piecewise linear functions of time, one for each knot and one for the last moment."""
+    nodes = np.unique(np.append(knots, times[-1]))
+    rows = [np.interp(times, nodes, row) for row in np.eye(len(nodes))]
     return np.ascontiguousarray(np.transpose(rows))
