@@ -9,6 +9,7 @@ from track_before_detect.solvers import greedy
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+from track_before_detect.types import FrameBatch
 
 T, H, W = 6, 20, 26
 STAMPS = np.arange(float(T))
@@ -23,7 +24,7 @@ def gaussian(x, y, sigma=1.0, shape=(H, W)):
 def detect(frames, **options):
     settings = {'threshold': 7.0, **options}
     detector = GreedyDetector(DetectorOptions(detector='greedy', **settings))
-    return detector.detect(np.asarray(frames, np.float32), np.arange(float(len(frames))))
+    return detector.detect(FrameBatch.of(np.asarray(frames, np.float32), np.arange(float(len(frames)))))
 
 
 def noise(seed, shape=(T, H, W)):
@@ -34,7 +35,7 @@ def test_targets_far_apart_are_found_as_the_convex_detector_finds_them():
     frames = noise(0) + 8 * gaussian(6, 6) + 5 * gaussian(19, 13)
     greedy_found = detect(frames).found
     convex = ConvexDetector(DetectorOptions(threshold=7.0))
-    convex_found = convex.detect(frames.astype(np.float32), STAMPS).found
+    convex_found = convex.detect(FrameBatch.of(frames.astype(np.float32), STAMPS)).found
     assert len(greedy_found) == len(convex_found) == 2
     for one, other in zip(greedy_found, convex_found, strict=True):
         assert np.linalg.norm(one.positions - other.positions, axis=1).mean() < 0.5

@@ -11,7 +11,7 @@ from track_before_detect.evaluation.benchmarks import (
     velocity_filter as bench_velocity,
 )
 from track_before_detect.evaluation.studies.parallel import scenes as parallel_scenes
-from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.calibration.noise_study import noise_frames
 
 
 def quiet(label, done):

@@ -7,6 +7,7 @@ import pytest
 
 from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.studies.range_doppler import suite
+from track_before_detect.types import FrameBatch
 
 
 def quiet(label, done):
@@ -57,7 +58,7 @@ def test_target_is_found_from_its_snr_on(small, motion):
 def test_noise_raises_an_alarm_below_its_largest_statistic_and_none_above(small, motion):
     noise = suite._noise(np.random.default_rng(7))
     detector = suite._detector(motion, 8.0)
-    step = detector.detect(noise, suite._stamps()).history[0]
+    step = detector.detect(FrameBatch.of(noise, suite._stamps())).history[0]
     largest = 8.0 * (1 + step.violation)
     # Moving off the grid raises a path by no more than this.
     most = (largest**2 + detector.model.refinement_gain)**0.5

@@ -15,7 +15,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.calibration import threshold
-from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.path_search import PathSearch
 from track_before_detect.solvers.search.sheared_plane import ShearedPlane

@@ -13,7 +13,8 @@ from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.calibration import threshold as module
-from track_before_detect.solvers.calibration.threshold import NoiseStudy, threshold_for
+from track_before_detect.solvers.calibration.noise_study import NoiseStudy
+from track_before_detect.solvers.calibration.threshold import threshold_for
 from track_before_detect.solvers.search.path_search import PathSearch
 
 PSF = GaussianPsf(2.0)

@@ -12,12 +12,13 @@ from track_before_detect.models.motion.transition_sets import directional_sets
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import gaussian_stamp_image
-from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.cancellation import target_cancellation
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
 from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
+from track_before_detect.types import FrameBatch
 
 DETECTORS = [pytest.param(MtDpDetector, id='mt_dp'), pytest.param(PcDpDetector, id='pc_dp')]
 NARROW = GaussianPsf(0.3)
@@ -87,7 +88,7 @@ def test_targets_of_all_directions_are_found():
 def test_blurred_targets_are_found_once_each(detector, snr):
     made = simulate('three_targets', 3, snr=snr, fps=1.0)
     options = DetectorOptions(threshold=12.0, max_speed_px_s=1.0)
-    found = detector(options).detect(made.frames, made.stamps).found
+    found = detector(options).detect(FrameBatch.of(made.frames, made.stamps)).found
     truth = made.truth[:, 2:].reshape(3, 20, 2)
     errors = [min(np.hypot(*(trajectory.positions - path).T).mean() for path in truth)
               for trajectory in found]
@@ -103,7 +104,7 @@ def test_noisy_pixels_carry_less_weight(detector):
     noise = np.random.default_rng(6).standard_normal(made.frames.shape, np.float32)
     clean = made.frames - simulate('single_target', 5, snr=0.0, fps=1.0).frames
     options = DetectorOptions(threshold=11.0, max_speed_px_s=1.0)
-    [found] = detector(options).detect_weighted(clean * weights + noise, made.stamps,
+    [found] = detector(options).detect(FrameBatch.of(clean * weights + noise, made.stamps),
                                                 weights).found
     assert np.hypot(*(found.positions - made.truth[:, 2:]).T).mean() < 1
     assert np.median(found.amplitudes) == pytest.approx(8.0, abs=1.5)
@@ -115,7 +116,7 @@ def test_masked_pixels_are_not_searched(detector):
     made.frames[:, :, 70:] = np.nan
     made.frames[4, 20:60] = np.nan
     options = DetectorOptions(threshold=9.5, max_speed_px_s=1.0)
-    for trajectory in detector(options).detect(made.frames, made.stamps).found:
+    for trajectory in detector(options).detect(FrameBatch.of(made.frames, made.stamps)).found:
         assert np.all(trajectory.positions[:, 0] < 74)
         assert np.all(np.isfinite(trajectory.amplitudes))
 
@@ -129,7 +130,7 @@ def test_threshold_holds_the_false_alarm_rate_asked_for(detector, tmp_path, monk
     threshold = made.threshold(STAMPS, (50, 50))
     rng = np.random.default_rng(8)
     n_runs = 400
-    alarms = sum(bool(made.detect(rng.standard_normal((6, 50, 50)), STAMPS).found)
+    alarms = sum(bool(made.detect(FrameBatch.of(rng.standard_normal((6, 50, 50)), STAMPS)).found)
                  for _ in range(n_runs))
     assert threshold == made.threshold(STAMPS, (50, 50))
     # Four standard deviations of the count and of the threshold about the rate.

@@ -8,7 +8,7 @@ import track_before_detect as tbd
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.calibration import threshold as threshold_module
-from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.constant_search import ConstantSearch
 from track_before_detect.solvers.search.path_search import PathSearch

@@ -16,6 +16,7 @@ from track_before_detect.simulation.sensor import add_streak, add_target
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.convex.extended_target import together
 from track_before_detect.solvers.convex.working_set import Source, StampRenderer, WorkingSet
+from track_before_detect.types import FrameBatch
 
 T = 20
 TIMES = np.arange(float(T))
@@ -39,7 +40,7 @@ def scene(targets, seed, shape=(36, 38), kind=np.float32):
 
 def found_in(frames, **options):
     options = {'threshold': 8.0, 'max_speed_px_s': 0.8, **options}
-    return ConvexDetector(DetectorOptions(**options)).detect(frames, TIMES).found
+    return ConvexDetector(DetectorOptions(**options)).detect(FrameBatch.of(frames, TIMES)).found
 
 
 def errors(found, path):
@@ -96,7 +97,7 @@ def test_masked_pixels_and_uneven_noise_leave_one_trajectory():
     frames[:, :, 22:] += 0.87 * np.random.default_rng(5).standard_normal((T, 36, 16))
     frames[:, 17, 19] = 0.0
     detector = ConvexDetector(DetectorOptions(threshold=8.0, max_speed_px_s=0.8))
-    found = detector.detect_weighted(frames.astype(np.float32), TIMES, weights).found
+    found = detector.detect(FrameBatch.of(frames.astype(np.float32), TIMES), weights).found
     assert len(found) == 1
 
 
@@ -223,7 +224,7 @@ def test_two_targets_stay_two_whatever_else_is_asked(found_among):
 def test_history_ends_with_the_state_that_is_returned():
     frames = scene([(LINE, 15.0, 1.5)], 26)
     options = DetectorOptions(threshold=8.0, max_speed_px_s=0.8, motion_model='constant_velocity')
-    result = ConvexDetector(options).detect(frames, TIMES)
+    result = ConvexDetector(options).detect(FrameBatch.of(frames, TIMES))
     [found] = result.found
     alone = WorkingSet(frames, np.zeros((0, 0, 0)), GaussianPsf(1.0), 8.0, NonNegative())
     alone.assign(np.array([alone.add(found.positions, 0.0)]), found.amplitudes[None])

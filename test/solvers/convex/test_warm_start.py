@@ -18,6 +18,7 @@ from track_before_detect.solvers.convex.warm_start import starting_paths
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.types import FrameBatch
 
 MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
 NO_MASK = np.zeros((0, 0, 0), bool)
@@ -256,11 +257,11 @@ def test_a_stream_finds_what_batches_that_begin_with_nothing_find(name):
             else:
                 at = (x + v_x * t * (not still), y + v_y * t * (not still))
             add_target(frame, *at, 1.0, amplitude)
-    first = ConvexDetector(DetectorOptions(**options)).detect(frames[:T], TIMES)
-    cold = ConvexDetector(DetectorOptions(**options)).detect(frames[HOP:], TIMES)
+    first = ConvexDetector(DetectorOptions(**options)).detect(FrameBatch.of(frames[:T], TIMES))
+    cold = ConvexDetector(DetectorOptions(**options)).detect(FrameBatch.of(frames[HOP:], TIMES))
     detector = ConvexDetector(DetectorOptions(**options))
     detector.earlier = earlier_of([one.positions for one in first.found])
-    warm = detector.detect(frames[HOP:], TIMES)
+    warm = detector.detect(FrameBatch.of(frames[HOP:], TIMES))
     assert len(cold.found) == len(warm.found) == 2
     for one, other in zip(cold.found, warm.found, strict=True):
         np.testing.assert_array_equal(np.isfinite(one.positions), np.isfinite(other.positions))

@@ -9,6 +9,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.calibration import threshold
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.types import FrameBatch
 
 
 def gaussian_frames(seed, trajectories, snr, shape=(48, 48), sigma=1.0):
@@ -35,7 +36,7 @@ PAIR = [line((8, 10), (0.7, 0.3), 20), line((40, 12), (-0.5, 0.8), 20)]
 
 @pytest.mark.parametrize('method', METHODS)
 def test_two_bright_targets_are_found_once_each(method):
-    found = detector(detector=method).detect(gaussian_frames(1, PAIR, 9), np.arange(20.0)).found
+    found = detector(detector=method).detect(FrameBatch.of(gaussian_frames(1, PAIR, 9), np.arange(20.0))).found
     assert len(found) == 2
     nearest = [[np.nanmean(np.linalg.norm(one.positions - truth, axis=1)) for truth in PAIR]
                for one in found]
@@ -44,7 +45,7 @@ def test_two_bright_targets_are_found_once_each(method):
 
 
 def test_statistic_is_the_sum_over_the_root_of_the_frames_and_above_the_threshold():
-    result = detector(threshold=12.0).detect(gaussian_frames(2, PAIR, 5), np.arange(20.0))
+    result = detector(threshold=12.0).detect(FrameBatch.of(gaussian_frames(2, PAIR, 5), np.arange(20.0)))
     for one in result.found:
         assert one.statistic == pytest.approx(np.nansum(one.amplitudes) / np.sqrt(20))
         assert one.statistic > result.threshold == 12.0
@@ -53,7 +54,7 @@ def test_statistic_is_the_sum_over_the_root_of_the_frames_and_above_the_threshol
 
 
 def test_amplitude_is_that_of_the_unit_norm_psf():
-    [one] = detector().detect(gaussian_frames(3, PAIR[:1], 20), np.arange(20.0)).found
+    [one] = detector().detect(FrameBatch.of(gaussian_frames(3, PAIR[:1], 20), np.arange(20.0))).found
     assert one.snr == pytest.approx(20 * np.exp(-1 / 24), rel=0.05)
 
 
@@ -74,7 +75,7 @@ def test_pixels_are_accumulated_as_they_are_when_the_psf_is_one_pixel():
 def test_dropped_frames_are_put_in():
     kept = np.delete(np.arange(24), [5, 6, 13])
     frames = gaussian_frames(6, [line((8, 10), (1, 0.6), 24)], 8)[kept]
-    [one] = detector().detect(frames, kept / 25.0).found
+    [one] = detector().detect(FrameBatch.of(frames, kept / 25.0)).found
     truth = line((8, 10), (1, 0.6), 24)[kept]
     assert one.positions.shape == (21, 2)
     assert np.nanmax(np.abs(one.positions - truth)) <= 1.5
@@ -103,7 +104,7 @@ def test_speed_is_counted_in_pixels_per_interval():
 @pytest.mark.parametrize('method, v_max', [('cfo_dp', 3), ('mff_dp', 3)])
 def test_faster_targets_are_found_where_the_speed_allows(method, v_max):
     frames = gaussian_frames(9, [line((3, 8), (2.6, 1.4), 16)], 9)
-    found = detector(detector=method, max_speed_px_s=3.0).detect(frames, np.arange(16.0)).found
+    found = detector(detector=method, max_speed_px_s=3.0).detect(FrameBatch.of(frames, np.arange(16.0))).found
     assert found and np.isfinite(found[0].positions).all()
 
 
@@ -125,22 +126,22 @@ def test_options_that_cannot_be_met_are_refused(settings, words):
 def test_stamps_that_cannot_be_searched_are_refused(stamps, words):
     frames = np.zeros((len(stamps), 16, 16), np.float32)
     with pytest.raises(DataError, match=words):
-        detector().detect(frames, stamps.astype(float))
+        detector().detect(FrameBatch.of(frames, stamps.astype(float)))
 
 
 def test_complex_frames_are_refused():
     with pytest.raises(DataError, match='mff_dpr needs real frames'):
-        detector().detect(np.zeros((5, 16, 16), np.complex64), np.arange(5.0))
+        detector().detect(FrameBatch.of(np.zeros((5, 16, 16), np.complex64), np.arange(5.0)))
 
 
 def test_frames_smaller_than_what_is_filled_are_refused():
     with pytest.raises(DataError, match='frames must be as large, got 80 x 1'):
-        detector().detect(np.zeros((5, 1, 80), np.float32), np.arange(5.0))
+        detector().detect(FrameBatch.of(np.zeros((5, 1, 80), np.float32), np.arange(5.0)))
 
 
 def test_second_order_refuses_speeds_beyond_its_candidates():
     with pytest.raises(ParameterError, match='up to 7 pixels per frame interval, and .* 7.5'):
-        detector(max_speed_px_s=7.5).detect(np.zeros((5, 16, 16), np.float32), np.arange(5.0))
+        detector(max_speed_px_s=7.5).detect(FrameBatch.of(np.zeros((5, 16, 16), np.float32), np.arange(5.0)))
 
 
 @pytest.mark.parametrize('method', ['cfo_dp', 'mff_dpr'])
@@ -153,7 +154,7 @@ def test_noise_yields_trajectories_at_the_requested_rate(method, monkeypatch, tm
     noise = np.random.default_rng(10)
     n_batches = 150
     false_alarms = sum(
-        bool(searched.detect(noise.standard_normal((12, 24, 24)).astype(np.float32),
-                             np.arange(12.0)).found) for _ in range(n_batches))
+        bool(searched.detect(FrameBatch.of(noise.standard_normal((12, 24, 24)).astype(np.float32),
+                             np.arange(12.0))).found) for _ in range(n_batches))
     # Four standard deviations of the count and of the calibration.
     assert abs(false_alarms / n_batches - 0.2) < 4 * np.sqrt(0.2 * 0.8 * (1 / n_batches + 1 / 600))

@@ -21,7 +21,7 @@ from track_before_detect.models.presence import frames_seen_in, Presence, presen
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
 from track_before_detect.solvers.search.partial_search import PartialSearch

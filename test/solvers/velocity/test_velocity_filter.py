@@ -11,6 +11,7 @@ from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
+from track_before_detect.types import FrameBatch
 
 STAMPS = np.arange(12.0)
 
@@ -37,7 +38,7 @@ def scene(targets, shape=(48, 56), noise=0.0, seed=1, stamps=STAMPS):
 def test_target_without_noise_is_recovered_between_the_grid(sign, stamps):
     frames = scene([(24.3, 20.7, 0.43, -0.71, sign * 5.0)], stamps=stamps)
     options = {'amplitudes': 'signed'} if sign < 0 else {}
-    [found] = detector(**options).detect(frames, stamps).found
+    [found] = detector(**options).detect(FrameBatch.of(frames, stamps)).found
     middle = stamps - 0.5 * (stamps[0] + stamps[-1])
     np.testing.assert_allclose(
         found.positions, np.column_stack([24.3 + 0.43 * middle, 20.7 - 0.71 * middle]), atol=0.02)
@@ -49,7 +50,7 @@ def test_target_without_noise_is_recovered_between_the_grid(sign, stamps):
 @pytest.mark.parametrize('snr', [2.5, 30.0])
 def test_every_target_is_found_once(snr):
     made = simulate('three_targets', 3, snr=snr, fps=1.0)
-    found = detector().detect(made.frames, made.stamps).found
+    found = detector().detect(FrameBatch.of(made.frames, made.stamps)).found
     truth = made.truth[:, 2:].reshape(3, 20, 2)
     nearest = [int(np.argmin([np.hypot(*(t.positions - path).T).mean() for path in truth]))
                for t in found]
@@ -59,7 +60,7 @@ def test_every_target_is_found_once(snr):
 def test_targets_side_by_side_and_crossing_are_told_apart():
     targets = [(20.0, 14.0, 0.5, 0.2, 4.0), (19.0, 17.5, 0.5, 0.2, 4.0),
                (36.0, 33.0, 0.6, 0.0, 4.0), (36.0, 33.0, 0.0, 0.6, 4.0)]
-    found = detector().detect(scene(targets, noise=1.0), STAMPS).found
+    found = detector().detect(FrameBatch.of(scene(targets, noise=1.0), STAMPS)).found
     assert len(found) == 4
     middle = np.array([t.positions[[5, 6]].mean(axis=0) for t in found])
     for x, y, *_ in targets:
@@ -68,7 +69,7 @@ def test_targets_side_by_side_and_crossing_are_told_apart():
 
 def test_target_that_enters_is_followed_in_the_frames_it_is_in():
     frames = scene([(1.5, 20.0, 0.9, 0.1, 5.0)], noise=1.0)
-    [found] = detector().detect(frames, STAMPS).found
+    [found] = detector().detect(FrameBatch.of(frames, STAMPS)).found
     absent = np.isnan(found.amplitudes)
     assert 3 <= absent.sum() <= 5 and not absent[5:].any()
     assert np.all(found.positions[absent, 0] < -0.4)
@@ -80,7 +81,7 @@ def test_masked_pixels_carry_no_weight():
     frames[3:5] = np.nan
     frames[8, 15:30] = np.nan
     frames[:, 21, 24] = np.nan
-    [found] = detector().detect(frames, STAMPS).found
+    [found] = detector().detect(FrameBatch.of(frames, STAMPS)).found
     assert found.amplitudes[0] == pytest.approx(5.0, abs=1.2)
     assert np.hypot(*(found.positions[0] - (24 - 2.75, 20 - 1.65))) < 0.7
 
@@ -90,7 +91,7 @@ def test_noisy_pixels_carry_less_weight():
     frames = scene([(28.0, 24.0, 0.6, 0.0, 5.0)])
     frames += deviation * np.random.default_rng(5).standard_normal(frames.shape)
     weights = (1 / deviation)[None].astype(np.float32)
-    [found] = detector().detect_weighted((frames * weights).astype(np.float32), STAMPS,
+    [found] = detector().detect(FrameBatch.of((frames * weights).astype(np.float32), STAMPS),
                                          weights).found
     assert found.amplitudes[0] == pytest.approx(5.0, abs=1.5)
     stamp = GaussianPsf(1.0)
@@ -117,7 +118,7 @@ def test_threshold_holds_the_false_alarm_rate_asked_for(tmp_path, monkeypatch):
     made.threshold(stamps, shape)
     rng = np.random.default_rng(8)
     n_runs = 300
-    alarms = sum(bool(made.detect(rng.standard_normal((6, *shape)), stamps).found)
+    alarms = sum(bool(made.detect(FrameBatch.of(rng.standard_normal((6, *shape)), stamps)).found)
                  for _ in range(n_runs))
     # Four standard deviations of the count and of the threshold about the rate.
     assert 0.02 < alarms / n_runs < 0.19
@@ -162,4 +163,4 @@ def test_what_it_cannot_do_is_refused(option, said):
     with pytest.raises(ParameterError, match=said):
         detector(**option)
     with pytest.raises(DataError, match='complex'):
-        detector().detect(np.zeros((12, 8, 8), complex), STAMPS)
+        detector().detect(FrameBatch.of(np.zeros((12, 8, 8), complex), STAMPS))

@@ -31,7 +31,7 @@ from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.path_search import PathSearch
 from track_before_detect.tracking.pipeline import TrackingPipeline
-from track_before_detect.types import Progress
+from track_before_detect.types import FrameBatch, Progress
 
 SEED = 1
 
@@ -136,8 +136,8 @@ def _measure_detection(made, options, repeats):
     """Measure whole detections."""
     before = _peak_memory()
     detector = ConvexDetector(options)
-    result = detector.detect(made.frames, made.stamps)
-    [seconds] = timed([lambda: detector.detect(made.frames, made.stamps)], repeats)
+    result = detector.detect(FrameBatch.of(made.frames, made.stamps))
+    [seconds] = timed([lambda: detector.detect(FrameBatch.of(made.frames, made.stamps))], repeats)
     return {
         'n_trajectories': len(result.found),
         'peak_memory_bytes': _peak_memory(),

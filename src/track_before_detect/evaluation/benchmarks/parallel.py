@@ -27,7 +27,7 @@ from track_before_detect.evaluation.studies.parallel import scenes as parallel_s
 from track_before_detect.evaluation.studies.parallel.scenes import ParallelScene
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.transition_sets import directional_sets, TransitionSets
-from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
 from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
 from track_before_detect.types import Progress

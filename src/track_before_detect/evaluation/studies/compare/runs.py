@@ -22,6 +22,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.batch_detector import BatchDetector
 from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+from track_before_detect.types import FrameBatch
 
 SIGMA_PX = 1.0
 # (T, H, W) of most scenes, and of that of Guo et al.
@@ -100,7 +101,7 @@ def _searched(item):
             if np.isfinite(x):
                 add_target(frame, x, y, SIGMA_PX, item['snr'])
     stamps = np.arange(float(shape[0]))
-    return truth, ((name, _detector(tuple(sorted(options.items()))).detect(frames, stamps).found)
+    return truth, ((name, _detector(tuple(sorted(options.items()))).detect(FrameBatch.of(frames, stamps)).found)
                    for name, options in item['methods'].items())
 
 

@@ -17,6 +17,7 @@ from track_before_detect.evaluation.studies.limits.line_filter import LineFilter
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.types import FrameBatch
 
 N_FRAMES = 20
 SIGMA_PX = 1.0
@@ -54,7 +55,7 @@ def dim_target(item: Item) -> dict[str, Any]:
     found, nearby = {}, {}
     for model in MODELS:
         result = detector(model, item['thresholds'][model]).detect(
-            frames, np.arange(float(N_FRAMES)))
+            FrameBatch.of(frames, np.arange(float(N_FRAMES))))
         errors = [np.linalg.norm(one.positions - truth, axis=1).mean() for one in result.found]
         found[model] = min(errors, default=np.inf) < FOUND_PX
         nearby[model] = line_filter(model).best_near(frames, truth, FOUND_PX)
@@ -86,8 +87,8 @@ def isolated_target(item: Item) -> dict[str, Any]:
     rng = np.random.default_rng(item['seed'])
     truth = _path(rng, 'line') + 0.5 * (ACCURACY_PX - 1) + rng.uniform(-3, 3, 2)
     frames = _frames(rng, ACCURACY_PX, truth, item['snr'], item['sigma_px'])
-    result = detector('fluctuating', item['threshold']).detect(frames,
-                                                               np.arange(float(N_FRAMES)))
+    result = detector('fluctuating', item['threshold']).detect(FrameBatch.of(frames,
+                                                               np.arange(float(N_FRAMES))))
     if not result.found:
         return {'n_found': 0, 'n_ghosts': 0, 'squared_errors': None, 'amplitude': None}
     best = max(result.found, key=lambda one: one.statistic)
@@ -118,7 +119,7 @@ def noise_alarms(item: Item) -> dict[str, Any]:
     # one does not find either.
     for number in np.argsort(item['thresholds']):
         result = detector('fluctuating', item['thresholds'][number]).detect(
-            frames, np.arange(float(N_FRAMES)))
+            FrameBatch.of(frames, np.arange(float(N_FRAMES))))
         if not result.found:
             break
         alarms[number] = True

@@ -11,7 +11,7 @@ import numpy as np
 from track_before_detect.evaluation.metrics.paper_metrics import track_errors
 from track_before_detect.evaluation.studies.parallel import scenes as parallel_scenes
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch

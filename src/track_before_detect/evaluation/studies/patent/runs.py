@@ -14,6 +14,7 @@ from track_before_detect.evaluation.studies.patent.scenes import FIGURES
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchDetector
 from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+from track_before_detect.types import FrameBatch
 
 _FIGURES = {figure.number: figure for figure in FIGURES}
 
@@ -37,7 +38,7 @@ def measure(item: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     for name, options in item['options'].items():
         detector = _warm_detector(item['figure'], json.dumps(options))
         began = time.process_time()
-        result = detector.detect(scene.measured, stamps)
+        result = detector.detect(FrameBatch.of(scene.measured, stamps))
         results[name] = {
             'cpu_s': time.process_time() - began, 'status': result.status,
             'found': [path.positions[:, 0].tolist() for path in result.found],
@@ -51,5 +52,5 @@ def _warm_detector(number, options) -> BatchDetector:
     made = DetectorOptions.from_mapping(json.loads(options))
     detector = DETECTOR_CLASSES[made.detector](made)
     frames = _FIGURES[number].make(np.random.default_rng(0)).measured
-    detector.detect(frames, np.arange(float(len(frames))))
+    detector.detect(FrameBatch.of(frames, np.arange(float(len(frames)))))
     return detector

@@ -17,8 +17,9 @@ from track_before_detect.evaluation.metrics.matching import match_trajectories
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import SCENARIOS, simulate
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.solvers.calibration.threshold import noise_frames
+from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.types import FrameBatch
 
 SCENE = SCENARIOS['range_doppler']
 RATE = 0.05
@@ -54,7 +55,7 @@ def _detector(motion, threshold):
 
 def _found(item, maps):
     """Return the positions (T, 2) of all trajectories in complex maps."""
-    result = _detector(item['motion'], item['threshold']).detect(maps, _stamps())
+    result = _detector(item['motion'], item['threshold']).detect(FrameBatch.of(maps, _stamps()))
     return [one.positions for one in result.found]
 
 
