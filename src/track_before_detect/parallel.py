@@ -50,7 +50,7 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item]) -> 
     done: queue.SimpleQueue[tuple[int, Any, BaseException | None]] = queue.SimpleQueue()
     ended = threading.Event()
 
-    def run():
+    def run() -> None:
         while not ended.is_set():
             try:
                 number, item = waiting.get_nowait()

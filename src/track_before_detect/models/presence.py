@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import (
     AmplitudeModel,
     COMPLEX,
@@ -132,12 +131,6 @@ def presence_for(model: AmplitudeModel) -> Presence:
     20 frames of 96 x 96 pixels that enter, of as many that leave and of as many that stay, 39, 33
     and 88 are found at 0.3, 40, 36 and 85 at half of that, and 30, 27 and 91 at twice that.
     """
-    if model.has_one_modulus:
-        # Magnitudes of noise have a mean above zero, so their sum over the root of the frames
-        # grows with the frames.
-        raise ParameterError(
-            'presence partial cannot be searched with amplitude_model constant and amplitudes '
-            'complex: take fluctuating, or presence full')
     if model.is_constant:
         return Presence(0.0, entry=CONSTANT_END, leaving=CONSTANT_END)
     return Presence(PER_FRAME[model.code], entry=6.0, leaving=6.0)

@@ -109,9 +109,6 @@ class PathDetector(BatchDetector):
         batches come from one sensor, in its own pixels.
     """
 
-    takes_any_psf = True
-    weighs_pixels = True
-    knows_streaks = True
     # Best paths of noise whose positions are refined.
     refined_in_noise = 0
 
@@ -120,8 +117,6 @@ class PathDetector(BatchDetector):
         self._view = view
         self.psf: Psf | MultiSensor = view or psf_of(options)
         self.model = AmplitudeModel.named(options.amplitudes, options.amplitude_model)
-        _check_motion(options)
-        _check_exposure(options, view)
         self.presence = presence_for(self.model) if options.presence == 'partial' else None
         self._kept_graph: tuple[tuple, StateGraph] | None = None
         self._search: tuple[tuple, PathSearch] | None = None
@@ -412,41 +407,3 @@ class PathDetector(BatchDetector):
             return full(graph, psf, shape, self.model, n_threads)
         partial = ConstantPartialSearch if constant else PartialSearch
         return partial(graph, psf, shape, self.model, self.presence, n_threads)
-
-
-def _check_exposure(options, view):
-    """Refuse what streaks cannot be combined with."""
-    if not options.exposure_s:
-        return
-    for name, allowed in (
-            ('motion_model', ('nearly_constant_velocity', 'constant_velocity', 'static')),
-            ('registration', ('none',)), ('presence', ('full',)),
-            ('amplitude_model', ('fluctuating',))):
-        if getattr(options, name) not in allowed:
-            raise ParameterError(f'exposure_s above 0 needs {name} {" or ".join(allowed)}, got '
-                                 f'{getattr(options, name)}')
-    if view is not None:
-        raise ParameterError(
-            f'exposure_s must be 0 for several sensors, got {options.exposure_s:g} s')
-    if options.continuation[-1] == 1.0:
-        raise ParameterError(
-            'exposure_s above 0 needs a continuation that ends below 1: streaks are searched by '
-            'shapes that are near to theirs, which a certificate over all paths cannot rest on')
-
-
-def _check_motion(options):
-    """Refuse options that the motion model cannot honour."""
-    if options.motion_model == 'range_doppler':
-        if not options.range_bins_per_doppler_bin:
-            raise ParameterError(
-                'motion_model range_doppler needs range_bins_per_doppler_bin other than 0, got '
-                f'{options.range_bins_per_doppler_bin}')
-        if options.max_speed_px_s is not None:
-            raise ParameterError(
-                'max_speed_px_s must be left out with motion_model range_doppler, whose Doppler '
-                f'bins say how fast a target is, got {options.max_speed_px_s:g}')
-    around = options.motion_model == 'range_bearing' or options.doppler_ambiguities > 0
-    if around and options.registration != 'none':
-        raise ParameterError(
-            f'registration must be none with motion_model {options.motion_model}, whose columns '
-            f'go round, got {options.registration}')

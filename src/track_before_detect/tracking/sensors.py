@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-import math
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect import geometry
+from track_before_detect.capabilities import check_options
+from track_before_detect.checks import checked_frames, checked_number, checked_stamps
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf, Psf
@@ -22,7 +23,6 @@ from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.stitcher import Stitcher
-from track_before_detect.tracking.timestamps import check_increasing
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
 DETECTORS: dict[str, type[PathDetector]] = {'convex': ConvexDetector, 'greedy': GreedyDetector}
@@ -96,11 +96,14 @@ class SensorArray:
         _check_kind(sensors)
         if not len(sensors):
             raise DataError('sensors must hold at least one sensor, got none')
-        self._frames = [_checked_frames(n, sensor) for n, sensor in enumerate(sensors)]
-        stamps = [_checked_stamps(n, sensor, len(frames))
+        self._frames = [checked_frames(sensor.frames, f'frames of sensor {n}', 'iuf')
+                        for n, sensor in enumerate(sensors)]
+        stamps = [checked_stamps(sensor.stamps, len(frames), f'stamps of sensor {n}')
                   for n, (sensor, frames) in enumerate(zip(sensors, self._frames, strict=True))]
         self.psfs = tuple(_psf(n, sensor, options) for n, sensor in enumerate(sensors))
-        self.noise_sigmas = tuple(float(sensor.noise_sigma) for sensor in sensors)
+        self.noise_sigmas = tuple(
+            checked_number(f'noise_sigma of sensor {n}', sensor.noise_sigma, above=0.0)
+            for n, sensor in enumerate(sensors))
         self.shapes = tuple(frames.shape[1:] for frames in self._frames)
         self._from_plane = geometry.inverse(
             np.array([_to_plane(n, sensor) for n, sensor in enumerate(sensors)]))
@@ -155,7 +158,7 @@ class SensorPipeline:
     """
 
     def __init__(self, array: SensorArray, options: DetectorOptions):
-        _check(options)
+        check_options(options, several_sensors=True)
         self._array = array
         self._options = options
         self._stitcher: Stitcher | None = None
@@ -218,37 +221,6 @@ class SensorPipeline:
                           found.statistic, found.snr)
 
 
-def _check(options):
-    """Refuse options that several sensors cannot honour."""
-    if options.detector not in DETECTORS:
-        raise ParameterError(
-            f'detector must be one of {", ".join(DETECTORS)} for several sensors, got '
-            f'{options.detector!r}')
-    if options.registration != 'none':
-        raise ParameterError(
-            'registration must be none for several sensors, whose maps are given, got '
-            f'{options.registration!r}')
-    if options.motion_model in ('range_doppler', 'range_bearing'):
-        raise ParameterError(
-            'motion_model must be that of a plane for several sensors, got '
-            f'{options.motion_model}')
-    if options.amplitudes == 'complex':
-        raise ParameterError(
-            'amplitudes must be non-negative or signed for several sensors, got complex')
-    if options.presence != 'full':
-        raise ParameterError(
-            f'presence must be full for several sensors, got {options.presence!r}')
-    for name in ('variance', 'mask'):
-        if getattr(options, name) is not None:
-            raise ParameterError(
-                f'{name} must be left out for several sensors: give each its noise_sigma, and '
-                'NaN to its masked pixels')
-    if options.amplitude_model == 'constant':
-        raise ParameterError(
-            'amplitude_model must be fluctuating for several sensors, got constant: what is '
-            'constant in the units of one sensor is not in those of another')
-
-
 def _check_kind(sensors):
     """Refuse what is no sequence of sensors."""
     if not isinstance(sensors, Sequence):
@@ -260,55 +232,16 @@ def _check_kind(sensors):
                 f'sensors must be a list of Sensor, got {type(sensor).__name__} at {number}')
 
 
-def _is_number(value):
-    # To Python a truth value is a whole number.
-    return (isinstance(value, (int, float, np.integer, np.floating))
-            and not isinstance(value, bool))
-
-
-def _checked_frames(number, sensor):
-    try:
-        frames = np.asarray(sensor.frames)
-    except (TypeError, ValueError) as error:
-        raise DataError(f'frames of sensor {number} must be an array: {error}') from error
-    if frames.ndim != 3 or 0 in frames.shape:
-        raise DataError(f'frames of sensor {number} must have shape (T, H, W) with no empty side, '
-                        f'got {frames.shape}')
-    if frames.dtype.kind not in 'iuf':
-        raise DataError(
-            f'frames of sensor {number} must hold real numbers, got {frames.dtype}')
-    if not (_is_number(sensor.noise_sigma) and 0 < sensor.noise_sigma < math.inf):
-        raise ParameterError(f'noise_sigma of sensor {number} must be a number above 0, got '
-                             f'{sensor.noise_sigma!r}')
-    return frames
-
-
-def _checked_stamps(number, sensor, n_frames):
-    try:
-        stamps = np.asarray(sensor.stamps)
-    except (TypeError, ValueError) as error:
-        raise DataError(f'stamps of sensor {number} must be numbers: {error}') from error
-    if stamps.dtype.kind not in 'iuf':
-        raise DataError(
-            f'stamps of sensor {number} must be real numbers (seconds), got {stamps.dtype}')
-    stamps = stamps.astype(float)
-    if stamps.shape != (n_frames,):
-        raise DataError(f'stamps of sensor {number} must have shape ({n_frames},), got '
-                        f'{stamps.shape}')
-    check_increasing(stamps, f'stamps of sensor {number}')
-    return stamps
-
-
-def _psf(number, sensor, options) -> Psf:
+def _psf(number: int, sensor: Sensor, options: DetectorOptions) -> Psf:
     sigma = sensor.psf_sigma_px
     if sensor.psf is None and sigma is None:
         return psf_of(options)
     if sensor.psf is not None and sigma is not None:
         raise ParameterError(f'sensor {number} must have psf or psf_sigma_px, got both')
-    if sigma is not None and not _is_number(sigma):
-        raise ParameterError(f'psf_sigma_px of sensor {number} must be a number, got {sigma!r}')
     try:
-        return ArrayPsf(sensor.psf) if sigma is None else GaussianPsf(sigma)
+        if sensor.psf is not None:
+            return ArrayPsf(sensor.psf)
+        return GaussianPsf(checked_number('psf_sigma_px', sigma))
     except ParameterError as error:
         raise ParameterError(f'sensor {number}: {error}') from error
 

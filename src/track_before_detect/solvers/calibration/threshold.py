@@ -15,13 +15,13 @@ import logging
 import math
 import os
 from pathlib import Path
-import tempfile
 import threading
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
+from track_before_detect.atomic_files import atomic_path
 from track_before_detect.parallel import map_in_threads
 from track_before_detect.types import Progress
 
@@ -189,10 +189,8 @@ def _noise_maxima(study, crop, progress):
     maxima = _simulate(study, crop, progress)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix='.partial-') as folder:
-            aside = Path(folder) / path.name
+        with atomic_path(path) as aside:
             np.save(aside, maxima)
-            os.replace(aside, path)
     except OSError as error:
         _LOG.warning('the threshold calibration could not be kept for the next run: %s', error)
     return maxima
