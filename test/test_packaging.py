@@ -44,6 +44,7 @@ ALLOWED = {
                             'simulation', 'solvers', 'tracking'},
     'cli': BASICS | {'__init__', 'detection', 'evaluation', 'recordings', 'simulation',
                      'tracking'},
+    'option_tables': {'options', 'capabilities'},
     'ros': BASICS | {'__init__', 'cli', 'recordings', 'simulation', 'tracking'},
 }
 

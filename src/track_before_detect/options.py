@@ -59,11 +59,12 @@ class DetectorOptions:
     psf: ArrayOption | None = declared(
         None, 'Point spread function in place of the Gaussian: an array with odd sides, the '
         'target in its middle, of any scale; between the pixels by a cubic spline. A file is '
-        '.npy, .npz or an image.', kind='array', optional=True)
+        '.npy, .npz or an image; in Python it may also be an array.', kind='array', optional=True)
     exposure_s: float = declared(
         0.0, 'Time for which the shutter is open, around the stamp of a frame: a target is '
-        'smeared along its motion during this time. 0 takes it as a moment.', kind='number',
-        unit='s', minimum=0.0)
+        'smeared along its motion during this time, and searched and fitted as a streak, whose '
+        'amplitude is that at unit norm. 0 takes it as a moment.', kind='number', unit='s',
+        minimum=0.0)
     max_speed_px_s: float | None = declared(
         None, 'Largest speed of a target in the registered image; automatic is one pixel per '
         'median frame interval. The convex detector still finds a bright target that is a little '
@@ -90,8 +91,8 @@ class DetectorOptions:
     doppler_ambiguities: int = declared(
         0, 'Of motion_model range_doppler: by how many times the number of columns the Doppler '
         'of a target may be off, either way; columns then go round, and how fast the range '
-        'changes tells which it is. With 0 they end at both sides.', kind='integer', minimum=0,
-        maximum=16)
+        'changes tells which it is: the velocity in y of a trajectory is the true range rate. '
+        'With 0 they end at both sides.', kind='integer', minimum=0, maximum=16)
     directions: int | None = declared(
         None, 'Of detector pc_dp: parts of the transition set, one for each sector of directions, '
         'that are searched at the same time; automatic is 4.', kind='integer', minimum=1,
