@@ -223,8 +223,7 @@ WITHOUT_EFFECT = (
       for name in ('psf_sigma_px', 'psf_model')),
     NoEffect('false_alarm_rate', 'the threshold is given',
              Condition('with threshold', lambda options: options.threshold is not None)),
-    *(NoEffect(name, 'targets stand still', _with('motion_model', 'static'))
-      for name in ('max_speed_px_s', 'exposure_s')),
+    NoEffect('max_speed_px_s', 'targets stand still', _with('motion_model', 'static')),
     NoEffect('max_acceleration_px_s2', 'velocities do not change',
              _with('motion_model', 'constant_velocity', 'static')),
 )
