@@ -29,7 +29,7 @@ def test_bad_frames_are_named(frames, message):
     pytest.param([0.0, 1], r'shape \(4,\).*\(2,\)', id='too few'),
     pytest.param([0.0, 2, 1, 3], 'increase.*2 s.*1 s.*frame 2', id='backward'),
     pytest.param([0.0, 1, 1, 2], 'increase', id='repeated'),
-    pytest.param(['a'] * 4, 'stamps must be an array of numbers', id='text'),
+    pytest.param(['a'] * 4, 'stamps must be real numbers', id='text'),
     pytest.param([0.0, 1, np.nan, 2], 'finite.*nan', id='not finite'),
     pytest.param(np.arange(4) + 1j, 'real.*complex128', id='complex'),
     pytest.param(1e-310 * np.arange(4), 'must be 1e-12 to 1e.12 s apart, got', id='too near'),

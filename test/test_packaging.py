@@ -18,7 +18,8 @@ MODULES = sorted(SOURCE.rglob('*.py'))
 
 # Rooms of the package to the rooms of the package they may import, beside their own. The file
 # names without a suffix are modules; everything else is a folder.
-BASICS = {'errors', 'array_option', 'atomic_files', 'types', 'options', 'geometry', 'parallel'}
+BASICS = {'errors', 'array_option', 'atomic_files', 'capabilities', 'checks', 'types', 'options',
+          'geometry', 'parallel'}
 ALLOWED = {
     '__init__': BASICS | {'detection', 'solvers'},
     'errors': set(),
@@ -27,7 +28,9 @@ ALLOWED = {
     'atomic_files': set(),
     'parallel': set(),
     'array_option': {'errors', 'recordings'},
-    'options': {'errors', 'array_option'},
+    'checks': {'errors'},
+    'options': {'errors', 'array_option', 'checks'},
+    'capabilities': {'errors', 'options'},
     'kernels': set(),
     'option_models': BASICS | {'models'},
     'models': {'errors', 'geometry', 'kernels'},
@@ -41,7 +44,8 @@ ALLOWED = {
                             'simulation', 'solvers', 'tracking'},
     'cli': BASICS | {'__init__', 'detection', 'evaluation', 'recordings', 'simulation',
                      'tracking'},
-    'ros': BASICS | {'__init__', 'recordings', 'simulation', 'tracking'},
+    'option_tables': {'options', 'capabilities'},
+    'ros': BASICS | {'__init__', 'cli', 'recordings', 'simulation', 'tracking'},
 }
 
 

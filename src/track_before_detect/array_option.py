@@ -34,19 +34,19 @@ class ArrayOption:
         self.array.flags.writeable = False
         self.source = source
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         if not isinstance(other, ArrayOption):
             return NotImplemented
         return (self.array.dtype == other.array.dtype
                 and np.array_equal(self.array, other.array))
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash((self.array.shape, hashlib.sha256(self.array.tobytes()).digest()))
 
-    def __str__(self):
+    def __str__(self) -> str:
         return self.source or f'array of shape {self.array.shape}'
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         return f'<{self}>'
 
 
@@ -81,7 +81,7 @@ def array_option(name: str, value: Any) -> ArrayOption:
     return ArrayOption(array, source)
 
 
-def _read(name, path):
+def _read(name: str, path: Path) -> Any:
     suffix = path.suffix.lower()
     try:
         if suffix in IMAGE_SUFFIXES:
@@ -105,7 +105,7 @@ def _read(name, path):
         raise ParameterError(f'{name} cannot be read from {path}: {reason}') from error
 
 
-def _name_in(names, name, path):
+def _name_in(names: list[str], name: str, path: Path) -> str:
     """Return the name of the array to take from an archive."""
     if name in names:
         return name

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from track_before_detect.errors import DataError
+from track_before_detect.checks import checked_frames, checked_stamps
 from track_before_detect.options import DetectorOptions
 from track_before_detect.tracking.recording import detect_recording
 from track_before_detect.tracking.sensor_pipeline import SensorPipeline
@@ -71,19 +71,9 @@ def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = '
     [[16.0, 16.0]]
     """
     settings = DetectorOptions.from_mapping({'detector': detector, **options})
-    array = _as_array('frames', frames)
-    if array.ndim != 3 or 0 in array.shape:
-        raise DataError(
-            f'frames must have shape (T, H, W) with no empty side, got {array.shape}')
-    if array.dtype == bool or not np.issubdtype(array.dtype, np.number):
-        raise DataError(f'frames must hold numbers, got {array.dtype}')
-    times = np.arange(len(array)) if stamps is None else _as_array('stamps', stamps)
-    if times.dtype.kind not in 'iuf':
-        raise DataError(
-            f'stamps must be an array of numbers, real and in seconds, got {times.dtype}')
-    if times.shape != (len(array),):
-        raise DataError(f'stamps must have shape ({len(array)},), got {times.shape}')
-    return detect_recording(_ArrayRecording(array, times.astype(float)), settings, progress)
+    array = checked_frames(frames)
+    times = checked_stamps(np.arange(len(array)) if stamps is None else stamps, len(array))
+    return detect_recording(_ArrayRecording(array, times), settings, progress)
 
 
 def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
@@ -137,10 +127,3 @@ def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
     settings = DetectorOptions.from_mapping({'detector': detector, **options})
     array = SensorArray(sensors, settings)
     return detect_recording(array, settings, progress, SensorPipeline(array, settings))
-
-
-def _as_array(name: str, values: ArrayLike) -> NDArray:
-    try:
-        return np.asarray(values)
-    except (TypeError, ValueError) as error:
-        raise DataError(f'{name} must be an array of numbers: {error}') from error

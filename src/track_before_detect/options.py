@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 import dataclasses
 import difflib
-import math
 from typing import Any
 
 import numpy as np
 
 from track_before_detect.array_option import array_option, ArrayOption
+from track_before_detect.checks import checked_number
 from track_before_detect.errors import ParameterError, suggestion
 
 DETECTORS = ('convex', 'greedy', 'cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_dpr', 'mff_dpr',
@@ -24,8 +24,10 @@ DETECTORS = ('convex', 'greedy', 'cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_d
 DEFAULT_CONTINUATION = (1.0, 0.8, 0.6, 0.4, 0.2, 0.0)
 
 
-def _option(default, description, *, kind, unit='', choices=None, minimum=None, maximum=None,
-            above=None, optional=False):
+def declared(default: Any, description: str, *, kind: str, unit: str = '',
+             choices: tuple[str, ...] | None = None, minimum: float | None = None,
+             maximum: float | None = None, above: float | None = None,
+             optional: bool = False) -> Any:
     """Declare one option; ``above`` is an exclusive lower bound, the others are inclusive."""
     metadata = {
         'description': description, 'kind': kind, 'unit': unit, 'choices': choices,
@@ -41,113 +43,114 @@ class DetectorOptions:
     See :func:`describe` for the unit, range and meaning of each.
     """
 
-    detector: str = _option(
+    detector: str = declared(
         'convex', 'Method that finds the trajectories: convex finds all jointly; for comparison, '
         'greedy finds one after the other, and dynamic programming over whole pixels of first '
         '(cfo) or second order (cso, mff), in one direction (_dp) or both (_dpr), finds one in '
         'each round; mt_dp cancels one after the other, pc_dp does so by direction; '
         'velocity_filter adds up along straight lines.',
         kind='text', choices=DETECTORS)
-    psf_sigma_px: float = _option(
+    psf_sigma_px: float = declared(
         1.0, 'Standard deviation of the Gaussian point spread function.', kind='number',
         unit='px', minimum=0.3, maximum=20.0)
-    psf_model: str = _option(
+    psf_model: str = declared(
         'gaussian', 'Whether a pixel sees the Gaussian at its centre, or its mean over the pixel.',
         kind='text', choices=('gaussian', 'integrated_gaussian'))
-    psf: ArrayOption | None = _option(
+    psf: ArrayOption | None = declared(
         None, 'Point spread function in place of the Gaussian: an array with odd sides, the '
         'target in its middle, of any scale; between the pixels by a cubic spline. A file is '
-        '.npy, .npz or an image.', kind='array', optional=True)
-    exposure_s: float = _option(
+        '.npy, .npz or an image; in Python it may also be an array.', kind='array', optional=True)
+    exposure_s: float = declared(
         0.0, 'Time for which the shutter is open, around the stamp of a frame: a target is '
-        'smeared along its motion during this time. 0 takes it as a moment.', kind='number',
-        unit='s', minimum=0.0)
-    max_speed_px_s: float | None = _option(
+        'smeared along its motion during this time, and searched and fitted as a streak, whose '
+        'amplitude is that at unit norm. 0 takes it as a moment.', kind='number', unit='s',
+        minimum=0.0)
+    max_speed_px_s: float | None = declared(
         None, 'Largest speed of a target in the registered image; automatic is one pixel per '
         'median frame interval. The convex detector still finds a bright target that is a little '
         'faster.', kind='number', unit='px/s', minimum=0.0, optional=True)
-    max_acceleration_px_s2: float | None = _option(
+    max_acceleration_px_s2: float | None = declared(
         None, 'Largest acceleration of a target; automatic lets the velocity change by the '
         'maximum speed within 30 median frame intervals (motion_model range_doppler: by one '
         'Doppler bin within 10).', kind='number', unit='px/s^2', minimum=0.0, optional=True)
-    motion_model: str = _option(
+    motion_model: str = declared(
         'nearly_constant_velocity', 'Which motions are searched; range_doppler takes rows for '
         'range bins and columns for Doppler bins, which say how fast the range changes, '
         'range_bearing columns for bearing, of which the last lies beside the first.',
         kind='text', choices=(
             'nearly_constant_velocity', 'constant_velocity', 'static', 'range_doppler',
             'range_bearing'))
-    range_bins_per_doppler_bin: float | None = _option(
+    range_bins_per_doppler_bin: float | None = declared(
         None, 'Of motion_model range_doppler, which needs it: by how many range bins a second a '
         'target moves on for each Doppler bin (metres per second of a Doppler bin over metres of '
         'a range bin), negative where a higher Doppler bin means approaching.', kind='number',
         unit='1/s', optional=True)
-    doppler_offset_bins: float = _option(
+    doppler_offset_bins: float = declared(
         0.0, 'Of motion_model range_doppler: column of zero Doppler less the middle column, which '
         'is half the number of columns, rounded down.', kind='number', unit='px')
-    doppler_ambiguities: int = _option(
+    doppler_ambiguities: int = declared(
         0, 'Of motion_model range_doppler: by how many times the number of columns the Doppler '
         'of a target may be off, either way; columns then go round, and how fast the range '
-        'changes tells which it is. With 0 they end at both sides.', kind='integer', minimum=0,
-        maximum=16)
-    directions: int | None = _option(
+        'changes tells which it is: the velocity in y of a trajectory is the true range rate. '
+        'With 0 they end at both sides.', kind='integer', minimum=0, maximum=16)
+    directions: int | None = declared(
         None, 'Of detector pc_dp: parts of the transition set, one for each sector of directions, '
         'that are searched at the same time; automatic is 4.', kind='integer', minimum=1,
         maximum=64, optional=True)
-    presence: str = _option(
+    presence: str = declared(
         'full', 'Whether a target is there in all frames of a batch, or may enter and leave '
         '(partial), which is then found, at the cost of slightly dimmer targets.', kind='text',
         choices=('full', 'partial'))
-    amplitudes: str = _option(
+    amplitudes: str = declared(
         'non-negative', 'Sign of a target beside the background; complex for frames of complex '
         'numbers, in which the phase of a target may be any in each frame and the noise has '
         'E|n|^2 = 1.', kind='text', choices=('non-negative', 'signed', 'complex'))
-    amplitude_model: str = _option(
+    amplitude_model: str = declared(
         'fluctuating', 'Whether the amplitude may differ from frame to frame; constant finds '
         'dimmer targets, if that of the whole target, whatever variance and mask leave of it, '
         'is. Of complex amplitudes it is the modulus that is constant, the phase stays free in '
         'each frame, and little is gained.', kind='text', choices=('fluctuating', 'constant'))
-    false_alarm_rate: float = _option(
+    false_alarm_rate: float = declared(
         0.05, 'Probability that a batch without targets yields a trajectory.', kind='number',
         above=0.0, maximum=0.5)
-    threshold: float | None = _option(
+    threshold: float | None = declared(
         None, 'Threshold on the statistic; overrides false_alarm_rate.', kind='number',
         above=0.0, optional=True)
-    continuation: tuple[float, ...] = _option(
+    continuation: tuple[float, ...] = declared(
         DEFAULT_CONTINUATION, 'Values of t from 1 (convex) to 0 (combinatorial), any list that '
         'ends with its smallest: 1 alone solves the convex problem with a certificate, over the '
         'paths of the grid, so that a target between them has to be up to a tenth brighter; 0 '
         'alone the combinatorial one from nothing.',
         kind='numbers', minimum=0.0, maximum=1.0)
-    batch_length: int | None = _option(
+    batch_length: int | None = declared(
         None, 'Frames searched together; automatic is the whole recording, and 20 in the node.',
         kind='integer', unit='frames', minimum=2, optional=True)
-    hop: int | None = _option(
+    hop: int | None = declared(
         None, 'Frames from the start of one batch to the next; automatic is half a batch.',
         kind='integer', unit='frames', minimum=1, optional=True)
-    registration: str = _option(
+    registration: str = declared(
         'none', 'How frames are aligned before the search: by a shift, or also by a turn and a '
         'zoom (affine) and a slope of the scene (homography).', kind='text',
         choices=('none', 'translation', 'affine', 'homography'))
-    background: str = _option(
+    background: str = declared(
         'none', 'How the background is removed.', kind='text',
         choices=('none', 'temporal_median', 'spatial_median', 'temporal_spatial_median'))
-    noise: str = _option(
+    noise: str = declared(
         'none', 'How the noise level is found: none takes a standard deviation of 1, robust '
         'estimates one number per frame, map one per pixel.', kind='text',
         choices=('none', 'robust', 'map'))
-    variance: ArrayOption | None = _option(
+    variance: ArrayOption | None = declared(
         None, 'Variance of the noise of each pixel, an array (H, W) or (frames, H, W) or a file '
         '(.npy, .npz or an image); with noise=robust its scale does not matter. Where it is not '
         'finite a pixel counts as masked. Multiplied by w^2 it weighs paths by a diagonal W: the '
         'threshold then is on |W^-1 h|.', kind='array', optional=True)
-    mask: ArrayOption | None = _option(
+    mask: ArrayOption | None = declared(
         None, 'Pixels that hold no data, an array (H, W) or (frames, H, W) or a file (.npy, .npz '
         'or an image); masked where it is not 0.', kind='array', optional=True)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
-            value = _checked(field.name, getattr(self, field.name), field.metadata)
+            value = checked_value(field.name, getattr(self, field.name), field.metadata)
             object.__setattr__(self, field.name, value)
         if self.continuation[-1] > min(self.continuation):
             raise ParameterError(
@@ -168,7 +171,7 @@ class DetectorOptions:
                 raise ParameterError(f'unknown option {name!r}; {suggestion(name, names)}')
         return cls(**values)
 
-    def replace(self, **changes) -> DetectorOptions:
+    def replace(self, **changes: Any) -> DetectorOptions:
         """Return a copy with some options changed."""
         return dataclasses.replace(self, **changes)
 
@@ -197,8 +200,31 @@ def describe() -> list[dict[str, Any]]:
             for field in dataclasses.fields(DetectorOptions)]
 
 
-def _checked(name, value, metadata):
-    """Return ``value`` in the type of its option, or raise ParameterError."""
+def range_words(option: Mapping[str, Any]) -> list[str]:
+    """Return what an option allows, in words for a list of facts.
+
+    Parameters
+    ----------
+    option : mapping
+        With choices and bounds, such as an entry of :func:`describe`.
+    """
+    words = ['one of ' + ', '.join(option['choices'])] if option['choices'] else []
+    bounds = (('above', 'above'), ('at least', 'minimum'), ('at most', 'maximum'))
+    return words + [f'{word} {option[key]:g}' for word, key in bounds if option[key] is not None]
+
+
+def checked_value(name: str, value: Any, metadata: Mapping[str, Any]) -> Any:
+    """Return ``value`` in the type of its option, or raise ParameterError.
+
+    Parameters
+    ----------
+    name : str
+        Of the option.
+    value : object
+        What it was given; a number may come as text.
+    metadata : mapping
+        As :func:`declared` made it.
+    """
     if value is None:
         if metadata['optional']:
             return None
@@ -213,30 +239,17 @@ def _checked(name, value, metadata):
         return value
     if kind == 'array':
         return array_option(name, value)
+    bounds = {key: metadata[key] for key in ('above', 'minimum', 'maximum', 'unit')}
     if kind == 'numbers':
         if isinstance(value, (str, bytes)) or np.ndim(value) != 1 or not len(value):
             raise ParameterError(f'{name} must be a list of numbers, got {value!r}')
-        return tuple(_checked_number(name, item, float, metadata) for item in value)
-    return _checked_number(name, value, int if kind == 'integer' else float, metadata)
+        return tuple(checked_number(name, _read_number(item), **bounds) for item in value)
+    return checked_number(name, _read_number(value), whole=kind == 'integer', **bounds)
 
 
-def _checked_number(name, value, kind, metadata):
-    """Return ``value`` as a finite number of its kind within its range."""
-    what = 'a whole number' if kind is int else 'a number'
+def _read_number(value: Any) -> Any:
+    """Return the number that a text holds, such as one of the command line."""
     try:
-        if isinstance(value, (bool, np.bool_)):
-            raise ValueError
-        number = float(value)
-        if not math.isfinite(number) or (kind is int and number != int(number)):
-            raise ValueError
-    except (TypeError, ValueError):
-        raise ParameterError(f'{name} must be {what}, got {value!r}') from None
-    unit = f' {metadata["unit"]}' if metadata['unit'] else ''
-    minimum, maximum, above = metadata['minimum'], metadata['maximum'], metadata['above']
-    if above is not None and not number > above:
-        raise ParameterError(f'{name} must be above {above:g}{unit}, got {number:g}')
-    if minimum is not None and number < minimum:
-        raise ParameterError(f'{name} must be at least {minimum:g}{unit}, got {number:g}')
-    if maximum is not None and number > maximum:
-        raise ParameterError(f'{name} must be at most {maximum:g}{unit}, got {number:g}')
-    return kind(number)
+        return float(value) if isinstance(value, str) else value
+    except ValueError:
+        return value

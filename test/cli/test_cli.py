@@ -1,5 +1,6 @@
 import csv
 import dataclasses
+import importlib.util
 import json
 import logging
 import os
@@ -12,7 +13,8 @@ import types
 import numpy as np
 import pytest
 
-from track_before_detect.cli import commands as cli
+from track_before_detect.cli import detect, main
+from track_before_detect.cli.console import Progress
 from track_before_detect.options import describe
 from track_before_detect.recordings.readers import open_recording
 from track_before_detect.simulation.scenarios import SCENARIOS
@@ -67,7 +69,7 @@ def stand_in(monkeypatch):
 def run(*arguments):
     """Return the exit code of the command."""
     try:
-        return cli.main([str(argument) for argument in arguments])
+        return main([str(argument) for argument in arguments])
     except SystemExit as stop:
         return stop.code
 
@@ -167,6 +169,8 @@ def test_parameter_file_of_the_node_can_be_used(recording_file, stand_in, tmp_pa
      (['--set', 'psf_sigma_px=wide'], ["psf_sigma_px must be a number, got 'wide'"]),
      (['--set', 'psf_sigma_px=90'], ['at most 20 px, got 90']),
      (['--detector', 'convx'], ["got 'convx'", 'did you mean convex']),
+     (['--detector', 'mff_dp', '--set', 'presence=partial'],
+      ['mff_dp cannot honour presence=partial, only full: ']),
      (['--topic', '/image'], ['only a rosbag2 has topics']),
      (['--config', 'no.yaml'], ['no.yaml cannot be read']),
      (['--config', 'list.yaml'], ['must hold names and values, got a list']),
@@ -220,7 +224,7 @@ def test_what_stops_the_search_leaves_no_output(
 def test_signal_that_ends_the_run_while_it_writes_leaves_no_output(
         recording_file, stand_in, tmp_path, monkeypatch):
     output = tmp_path / 'out'
-    monkeypatch.setattr(cli, 'write_summary_json',
+    monkeypatch.setattr(detect, 'write_summary_json',
                         lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     before = signal.getsignal(signal.SIGTERM)
     try:
@@ -239,15 +243,15 @@ def test_failure_while_writing_keeps_the_results_of_the_run_before(
     def disk_full(*_):
         raise OSError(28, 'No space left on device')
 
-    monkeypatch.setattr(cli, 'write_summary_json', disk_full)
+    monkeypatch.setattr(detect, 'write_summary_json', disk_full)
     stand_in.trajectories = 1
     assert run('detect', recording_file, '--output', output) == 2
     assert {file.name: file.read_bytes() for file in output.iterdir()} == before
 
 
 def test_missing_extra_is_named_before_the_work(recording_file, stand_in, monkeypatch, capsys):
-    find_spec = cli.importlib.util.find_spec
-    monkeypatch.setattr(cli.importlib.util, 'find_spec',
+    find_spec = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, 'find_spec',
                         lambda name: None if name == 'matplotlib' else find_spec(name))
     assert run('detect', recording_file) == 2
     assert_one_sentence(capsys, 'track_before_detect[plots]', '--no-overlay')
@@ -276,7 +280,7 @@ def test_progress_is_a_bar_on_a_terminal():
             pass
 
     terminal = Terminal()
-    with cli._Progress(terminal) as progress:
+    with Progress(terminal) as progress:
         for done in (0.0, 0.5, 1.0, 1.2):
             progress('calibrating', done)
         progress('searching', 0.0)

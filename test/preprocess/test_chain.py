@@ -11,7 +11,7 @@ import pytest
 from scipy import ndimage
 
 from track_before_detect import geometry
-from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.chain import prepare
 from track_before_detect.types import FrameBatch
@@ -164,19 +164,18 @@ def test_complex_noise_gets_unit_power():
     clutter = 100 * rng.normal(size=(50, 50))
     for noise in ('robust', 'map'):
         prepared = prepare(batch_of(frames + clutter),
-                           DetectorOptions(background='temporal_median', noise=noise))
+                           DetectorOptions(background='temporal_median', noise=noise,
+                                           amplitudes='complex'))
         assert prepared.frames.dtype == np.complex64
         assert np.isnan(prepared.frames[0, 0, 0])
         power = np.nanmean(np.abs(prepared.frames) ** 2)
         assert power == pytest.approx(1.0, rel=0.06)
 
 
-@pytest.mark.parametrize('changes', [{'registration': 'translation'},
-                                     {'background': 'spatial_median'}],
-                         ids=['registration', 'background'])
-def test_complex_frames_are_refused_where_they_mean_nothing(changes):
-    with pytest.raises(ParameterError, match='complex'):
-        prepare(batch_of(np.zeros((3, 9, 9), complex)), DetectorOptions(**changes))
+@pytest.mark.parametrize(('dtype', 'amplitudes'), [(complex, 'signed'), (float, 'complex')])
+def test_frames_of_another_kind_than_the_amplitudes_are_refused(dtype, amplitudes):
+    with pytest.raises(DataError, match='complex'):
+        prepare(batch_of(np.zeros((3, 9, 9), dtype)), DetectorOptions(amplitudes=amplitudes))
 
 
 @pytest.mark.parametrize(('frames', 'words'), [

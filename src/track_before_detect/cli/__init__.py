@@ -1,5 +1,5 @@
 """The command ``tbd``."""
 
-from track_before_detect.cli.commands import main
+from track_before_detect.cli.main import main
 
 __all__ = ['main']

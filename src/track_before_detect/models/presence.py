@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel
 
 # Log-likelihood that has to speak against a target before the end of its path is cut off.
@@ -115,10 +114,4 @@ def presence_for(model: AmplitudeModel) -> Presence:
 
     Where amplitudes are constant the ends alone cost something.
     """
-    if model.has_one_modulus:
-        # Magnitudes of noise have a mean above zero, so their sum over the root of the frames
-        # grows with the frames.
-        raise ParameterError(
-            'presence partial cannot be searched with amplitude_model constant and amplitudes '
-            'complex: take fluctuating, or presence full')
     return Presence(model.frame_cost, entry=model.end_cost, leaving=model.end_cost)

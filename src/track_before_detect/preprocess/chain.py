@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect import geometry
-from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.checks import check_kind, checked_frames
+from track_before_detect.errors import DataError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.background import (
@@ -100,19 +101,9 @@ def prepare(batch: FrameBatch, options: DetectorOptions) -> PreparedBatch:
         New arrays; where a step is not asked for, its part of the input is passed on.
     """
     raw = np.asarray(batch.frames)
-    frames = _checked_frames(raw, batch)
+    frames = _in_single_precision(raw, batch)
     n_frames = len(frames)
-    if np.iscomplexobj(frames):
-        if options.registration != 'none':
-            raise ParameterError(
-                f'registration must be none for complex frames, got {options.registration!r}')
-        if options.background not in ('none', 'temporal_median'):
-            raise ParameterError(
-                'background must be none or temporal_median for complex frames, got '
-                f'{options.background!r}')
-
-    if options.variance is not None and options.noise == 'map':
-        raise ParameterError('noise must be none or robust where variance is given, got map')
+    check_kind(frames, options.amplitudes)
     if options.mask is not None:
         frames[np.broadcast_to(masked_pixels(options.mask, batch), frames.shape)] = np.nan
 
@@ -197,12 +188,9 @@ def _on_plane(frames, maps, model):
     return np.stack([warped(frame, matrix) for frame, matrix in zip(frames, maps, strict=True)])
 
 
-def _checked_frames(raw, batch):
+def _in_single_precision(raw: NDArray, batch: FrameBatch) -> NDArray:
     """Return a copy of the frames in single precision, NaN where not finite."""
-    if raw.ndim != 3 or 0 in raw.shape:
-        raise DataError(f'frames must have shape (T, H, W) with no empty side, got {raw.shape}')
-    if raw.dtype == bool or not np.issubdtype(raw.dtype, np.number):
-        raise DataError(f'frames must hold numbers, got {raw.dtype}')
+    checked_frames(raw)
     if len(batch.stamps) != len(raw) or len(batch.frame_indices) != len(raw):
         raise DataError(
             f'{len(raw)} frames need as many stamps and frame numbers, got '

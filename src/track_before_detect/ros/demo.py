@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import argparse
+from argparse import Namespace
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -15,7 +15,7 @@ from pathlib import Path
 import signal
 import sys
 import time
-from typing import Any
+from typing import Any, NoReturn, TextIO
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
@@ -26,6 +26,18 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 
+from track_before_detect.checks import checked_number
+from track_before_detect.cli.console import (
+    add_set_argument,
+    assignments,
+    BAD_INPUT,
+    fail,
+    FAILED,
+    FOUND,
+    INTERRUPTED,
+    NOTHING_FOUND,
+    Parser,
+)
 from track_before_detect.errors import ParameterError, TbdError
 from track_before_detect.options import DetectorOptions, parse_option
 from track_before_detect.recordings.overlay import write_overlay
@@ -34,11 +46,10 @@ from track_before_detect.recordings.recording import Recording
 from track_before_detect.recordings.writers import write_npz_recording, write_trajectories_csv
 from track_before_detect.ros.child_process import ChildProcess
 from track_before_detect.ros.conversions import points_to_array, seconds_from_time
+from track_before_detect.ros.demo_report import report
 from track_before_detect.ros.domain import free_domain_id
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.types import Trajectory
-
-FOUND, FAILED, BAD_INPUT, NOTHING_FOUND, INTERRUPTED = 0, 1, 2, 3, 130
 
 SCENARIO = 'eo_ir_drones'
 # With this seed each target flies far enough to be seen in the picture.
@@ -51,7 +62,6 @@ FLUSH_AFTER_S = 1.0
 SILENCE_TIMEOUT_S = 60.0
 DISCOVERY_TIMEOUT_S = 60.0
 RESULT_TIMEOUT_S = 20.0
-NEAR_PX = 3.0
 
 
 class DemoError(Exception):
@@ -104,12 +114,12 @@ class Listener(Node):
         self.create_subscription(PointCloud2, 'trajectories/points', self._take_points, 100)
         self.create_subscription(DiagnosticArray, '/diagnostics', self._take_diagnostics, 10)
 
-    def _take_points(self, message):
+    def _take_points(self, message: PointCloud2) -> None:
         for point in points_to_array(message):
             self._heard.points.setdefault(int(point['id']), {})[float(point['t'])] = point
         self._heard.searched_until_s = seconds_from_time(message.header.stamp)
 
-    def _take_diagnostics(self, message):
+    def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             if status.name.rpartition('/')[2] == 'detector':
                 self._heard.diagnostics = {pair.key: pair.value for pair in status.values}
@@ -119,7 +129,7 @@ class Listener(Node):
 class StatusLine:
     """Says what is being waited for: in place on a terminal, else one line per change."""
 
-    def __init__(self, stream=sys.stderr):
+    def __init__(self, stream: TextIO = sys.stderr):
         self._stream = stream
         self._in_place = stream.isatty()
         self._began_s = time.monotonic()
@@ -156,31 +166,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return INTERRUPTED
     except DemoError as error:
         status.clear()
-        return _fail(error, error.code)
+        return fail('demo', error, error.code)
     except (TbdError, OSError) as error:
         status.clear()
-        return _fail(error, BAD_INPUT)
+        return fail('demo', error)
 
 
-def _interrupt(*_):
+def _interrupt(*_: object) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def _fail(error, code):
-    print(f'demo: error: {" ".join(str(error).split())}', file=sys.stderr)
-    return code
-
-
-class _Parser(argparse.ArgumentParser):
-    """Says what is wrong in one sentence, like every other error of the demo."""
-
-    def error(self, message):
-        self.exit(_fail(f'{message} (see {self.prog} --help)', BAD_INPUT))
-
-
-def _parser():
-    parser = _Parser(
-        prog='demo', formatter_class=argparse.RawDescriptionHelpFormatter,
+def _parser() -> Parser:
+    parser = Parser(
+        prog='demo',
         description='Play a recording to the detector over DDS and show what it finds.',
         epilog='example:\n  demo pan.npz --set registration=translation '
         '--set max_speed_px_s=100 \\\n      --set background=temporal_median --set noise=robust\n'
@@ -190,9 +188,8 @@ def _parser():
         'input', metavar='INPUT', nargs='?',
         help='.npz, folder of images, multi-page TIFF, FITS cube or rosbag2 (default: the '
         f'scenario {SCENARIO}, simulated on the spot)')
-    parser.add_argument('--set', metavar='KEY=VALUE', action='append', default=[],
-                        help='set one option of the detector; may be repeated (tbd detect '
-                        '--list-options names them)')
+    add_set_argument(parser, 'set one option of the detector; may be repeated (tbd detect '
+                     '--list-options names them)')
     parser.add_argument('--topic', metavar='NAME', help='topic of a bag')
     parser.add_argument('--rate', metavar='HZ', type=float,
                         help='frames played per second; stamps stay those of the recording '
@@ -207,10 +204,10 @@ def _parser():
     return parser
 
 
-def _run(arguments, status):
+def _run(arguments: Namespace, status: StatusLine) -> int:
     options = _given_options(arguments.set)
-    if arguments.rate is not None and not 0.0 < arguments.rate <= 10000.0:
-        raise ParameterError(f'--rate must be above 0 and at most 10000 Hz, got {arguments.rate}')
+    if arguments.rate is not None:
+        checked_number('--rate', arguments.rate, above=0.0, maximum=10000.0, unit='Hz')
     output = Path(arguments.output)
     if arguments.input is not None and not Path(arguments.input).exists():
         # Said before the output folder is made.
@@ -234,14 +231,9 @@ def _run(arguments, status):
     return FOUND if trajectories else NOTHING_FOUND
 
 
-def _given_options(assignments) -> dict[str, Any]:
+def _given_options(texts: Sequence[str]) -> dict[str, Any]:
     """Return the options given on the command line, checked."""
-    values = {}
-    for text in assignments:
-        key, separator, value = text.partition('=')
-        if not separator:
-            raise ParameterError(f'--set needs KEY=VALUE, got {text!r}')
-        values[key.strip()] = parse_option(key.strip(), value.strip())
+    values = {key: parse_option(key, text) for key, text in assignments(texts).items()}
     checked = DetectorOptions.from_mapping(values)
     return {key: getattr(checked, key) for key in values if getattr(checked, key) is not None}
 
@@ -254,7 +246,8 @@ def _simulated(output: Path) -> str:
     return str(path)
 
 
-def _play(arguments, options, source, recording, output, status) -> Heard:
+def _play(arguments: Namespace, options: dict[str, Any], source: Path, recording: Recording,
+          output: Path, status: StatusLine) -> Heard:
     """Run both nodes until every frame has been searched; return what they said."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     if 'ROS_DOMAIN_ID' not in os.environ:
@@ -290,7 +283,7 @@ def _play(arguments, options, source, recording, output, status) -> Heard:
     return heard
 
 
-def _command(node, executables, parameters):
+def _command(node: str, executables: str | None, parameters: dict[str, Any]) -> list[str]:
     """Return the command line of a node."""
     program = ([sys.executable, '-m', f'track_before_detect.ros.{node}_node']
                if executables is None else [str(Path(executables).resolve() / node)])
@@ -312,7 +305,7 @@ def _detector_parameters(recording: Recording) -> dict[str, Any]:
         'queue_length': max(60, min(len(recording), QUEUE_BYTES // frame_bytes))}
 
 
-def _play_rate(wanted, recording: Recording) -> float:
+def _play_rate(wanted: float | None, recording: Recording) -> float:
     """Return the frames played per second."""
     if wanted is not None:
         return wanted
@@ -322,7 +315,8 @@ def _play_rate(wanted, recording: Recording) -> float:
     return rate if usable else AUTOMATIC_HZ
 
 
-def _wait_until_ready(detector, executor, heard, status):
+def _wait_until_ready(detector: ChildProcess, executor: SingleThreadedExecutor, heard: Heard,
+                      status: StatusLine) -> None:
     """Wait until the detector has compiled its loops and calibrated its threshold."""
     while heard.diagnostics.get('state') != 'ready':
         _listen(executor, heard, detector)
@@ -330,7 +324,9 @@ def _wait_until_ready(detector, executor, heard, status):
         status.show(f'detector: {state}', heard.diagnostics.get('detail', ''))
 
 
-def _wait_until_searched(detector, publisher, executor, heard, recording, status):
+def _wait_until_searched(detector: ChildProcess, publisher: ChildProcess,
+                         executor: SingleThreadedExecutor, heard: Heard, recording: Recording,
+                         status: StatusLine) -> None:
     """Wait until the batch with the last frame has been searched."""
     last_s = float(recording.stamps[-1])
     tolerance_s = 1e-6 * max(1.0, abs(last_s) * 1e-6)
@@ -366,7 +362,7 @@ def _wait_until_searched(detector, publisher, executor, heard, recording, status
         _listen(executor, heard, detector)
 
 
-def _listen(executor, heard, detector):
+def _listen(executor: SingleThreadedExecutor, heard: Heard, detector: ChildProcess) -> None:
     """Receive for a moment and make sure that the detector is well."""
     executor.spin_once(timeout_sec=0.1)
     code = detector.exit_code
@@ -379,7 +375,7 @@ def _listen(executor, heard, detector):
                         f'(log: {detector.log})')
 
 
-def _ended(child):
+def _ended(child: ChildProcess) -> str:
     """Return a sentence about a node that ended too early or badly."""
     lines = child.last_lines(1)
     if child.exit_code == BAD_INPUT and lines:
@@ -388,7 +384,8 @@ def _ended(child):
     return f'{child.name} ended with exit code {child.exit_code}{said} (log: {child.log})'
 
 
-def _frame_numbers(stamps_s, recorded_s):
+def _frame_numbers(stamps_s: NDArray[np.float64], recorded_s: NDArray[np.float64],
+                   ) -> NDArray[np.int64]:
     """Return the number of the frame whose stamp is nearest, for each stamp."""
     after = np.clip(np.searchsorted(recorded_s, stamps_s), 1, max(1, len(recorded_s) - 1))
     before = after - 1
@@ -398,7 +395,7 @@ def _frame_numbers(stamps_s, recorded_s):
     return np.where(nearer, before, after)
 
 
-def _trajectories(heard: Heard, recorded_s) -> list[Trajectory]:
+def _trajectories(heard: Heard, recorded_s: NDArray[np.float64]) -> list[Trajectory]:
     """Return what was found, one trajectory per id, by descending SNR."""
     found = []
     for identity, by_stamp in heard.points.items():
@@ -413,92 +410,7 @@ def _trajectories(heard: Heard, recorded_s) -> list[Trajectory]:
     return sorted(found, key=lambda trajectory: -trajectory.snr)
 
 
-def report(trajectories: Sequence[Trajectory], truth: NDArray | None) -> str:
-    """Return tables of the trajectories found and of the true targets.
-
-    Parameters
-    ----------
-    trajectories : sequence of Trajectory
-        Present in each of their frames.
-    truth : array, shape (N, 4), or None
-        Rows [frame, target, x, y].
-    """
-    errors = {(trajectory.id, target): error for trajectory in trajectories
-              for target, error in _errors(trajectory, truth).items()}
-    return '\n\n'.join(part for part in (
-        _found_table(trajectories, truth, errors), _truth_table(trajectories, truth, errors))
-        if part)
-
-
-def _errors(trajectory, truth):
-    """Return the distances to each true target in the frames they share."""
-    errors = {}
-    for target in np.unique(truth[:, 1]) if truth is not None else ():
-        rows = truth[truth[:, 1] == target]
-        _, ours, theirs = np.intersect1d(
-            trajectory.frame_indices, rows[:, 0], return_indices=True)
-        if len(ours):
-            errors[int(target)] = np.hypot(
-                *(trajectory.positions[ours] - rows[theirs, 2:]).T)
-    return errors
-
-
-def _found_table(trajectories, truth, errors):
-    if not trajectories:
-        return 'no trajectory found'
-    header = ['id', 'frames', 'first x, y [px]', 'last x, y [px]', 'speed [px/s]', 'snr']
-    rows = [header + ([] if truth is None else ['nearest target', 'mean error [px]'])]
-    for trajectory in trajectories:
-        row = [str(trajectory.id), _span(trajectory.frame_indices),
-               *(_position(trajectory.positions[k]) for k in (0, -1)),
-               f'{np.hypot(*trajectory.velocity.T).mean():.2f}', f'{trajectory.snr:.2f}']
-        if truth is not None:
-            near = {target: distances.mean() for (identity, target), distances in errors.items()
-                    if identity == trajectory.id}
-            nearest = min(near, key=lambda target: near[target], default=None)
-            row += ['-', '-'] if nearest is None else [str(nearest), f'{near[nearest]:.2f}']
-        rows.append(row)
-    return 'trajectories found\n' + _aligned(rows)
-
-
-def _truth_table(trajectories, truth, errors):
-    if truth is None:
-        return ''
-    rows = [['target', 'frames', 'first x, y [px]', 'last x, y [px]',
-             f'frames within {NEAR_PX:g} px', 'by ids']]
-    for target in np.unique(truth[:, 1]).astype(int):
-        places = truth[truth[:, 1] == target]
-        followed: set[int] = set()
-        by_ids = []
-        for trajectory in trajectories:
-            distances = errors.get((trajectory.id, target))
-            if distances is None:
-                continue
-            shared = np.intersect1d(trajectory.frame_indices, places[:, 0])
-            near = shared[distances <= NEAR_PX].astype(int).tolist()
-            followed.update(near)
-            by_ids += [str(trajectory.id)] if near else []
-        rows.append([str(target), _span(places[:, 0].astype(int)), _position(places[0, 2:]),
-                     _position(places[-1, 2:]), f'{len(followed)} of {len(places)}',
-                     ', '.join(by_ids) or '-'])
-    return 'true targets\n' + _aligned(rows)
-
-
-def _span(frames):
-    return f'{frames[0]}-{frames[-1]}'
-
-
-def _position(position):
-    return f'{position[0]:.1f}, {position[1]:.1f}'
-
-
-def _aligned(rows):
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return '\n'.join('  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-                     for row in rows)
-
-
-def _print_losses(heard, n_frames):
+def _print_losses(heard: Heard, n_frames: int) -> None:
     """Say so when the detector did not search every frame."""
     received = heard.count('frames_received')
     counts = {'lost on the way': n_frames - received, 'dropped': heard.count('frames_dropped'),

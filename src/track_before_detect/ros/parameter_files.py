@@ -12,6 +12,7 @@ import sys
 import textwrap
 from typing import Any
 
+from track_before_detect.options import range_words
 from track_before_detect.ros import detector_node, frame_publisher_node
 from track_before_detect.ros.parameters import NodeParameter
 
@@ -56,18 +57,8 @@ def main(folder: str) -> None:
         Path(folder, name).write_text(parameter_file(header, parameters), encoding='utf-8')
 
 
-def _explanation(parameter):
-    facts = [parameter.unit] if parameter.unit else []
-    if parameter.choices:
-        facts.append('one of ' + ', '.join(parameter.choices))
-    if parameter.above is not None:
-        facts.append(f'above {parameter.above:g}')
-    if parameter.minimum is not None and parameter.minimum == 0 and parameter.optional:
-        facts.append('not negative')
-    elif parameter.minimum is not None:
-        facts.append(f'at least {parameter.minimum:g}')
-    if parameter.maximum is not None:
-        facts.append(f'at most {parameter.maximum:g}')
+def _explanation(parameter: NodeParameter) -> str:
+    facts = [*([parameter.unit] if parameter.unit else []), *range_words(vars(parameter))]
     if parameter.optional:
         facts.append('empty is none' if parameter.kind == 'array' else '0 is automatic')
     if parameter.live:

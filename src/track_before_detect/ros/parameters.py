@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-import math
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 
+from track_before_detect.checks import checked_number
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.options import describe, DetectorOptions
 
@@ -82,32 +82,16 @@ class NodeParameter:
             return value
         if self.kind == 'text':
             return self._check_text(value)
-        return self._check_number(value)
+        return checked_number(self.name, value, whole=self.kind == 'integer', above=self.above,
+                              minimum=self.minimum, maximum=self.maximum, unit=self.unit)
 
-    def _check_text(self, value):
+    def _check_text(self, value: Any) -> str:
         if not isinstance(value, str):
             raise ParameterError(f'{self.name} must be text, got {value!r}')
         if self.choices and value not in self.choices:
             raise ParameterError(
                 f'{self.name} must be one of {", ".join(self.choices)}, got {value!r}')
         return value
-
-    def _check_number(self, value):
-        kind = int if self.kind == 'integer' else float
-        what = 'a whole number' if kind is int else 'a number'
-        numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
-        if not numeric or not math.isfinite(value) or (kind is int and value != int(value)):
-            raise ParameterError(f'{self.name} must be {what}, got {value!r}')
-        unit = f' {self.unit}' if self.unit else ''
-        if self.above is not None and not value > self.above:
-            raise ParameterError(f'{self.name} must be above {self.above:g}{unit}, got {value:g}')
-        if self.minimum is not None and value < self.minimum:
-            raise ParameterError(
-                f'{self.name} must be at least {self.minimum:g}{unit}, got {value:g}')
-        if self.maximum is not None and value > self.maximum:
-            raise ParameterError(
-                f'{self.name} must be at most {self.maximum:g}{unit}, got {value:g}')
-        return kind(value)
 
     def descriptor(self) -> ParameterDescriptor:
         """Return the descriptor: meaning, unit, range and choices."""
@@ -139,7 +123,7 @@ class NodeParameter:
                     from_value=float(lowest), to_value=float(highest), step=0.0)]
         return descriptor
 
-    def _unbounded(self):
+    def _unbounded(self) -> bool:
         return self.minimum is None and self.maximum is None and self.above is None
 
 
@@ -236,11 +220,11 @@ class ParameterizedNode(Node):
         except (InvalidQosOverridesError, RuntimeError) as error:
             raise ParameterError(str(error)) from error
 
-    def set_parameters(self, parameter_list):
+    def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
         """Set parameters one by one; see :meth:`set_parameters_atomically`."""
         return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
 
-    def set_parameters_atomically(self, parameter_list):
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters, refusing what cannot be used with a sentence that says why."""
         try:
             checked = self._checked_changes(parameter_list)
@@ -252,7 +236,7 @@ class ParameterizedNode(Node):
             self.on_change(changed)
         return result
 
-    def _checked_changes(self, parameter_list):
+    def _checked_changes(self, parameter_list: list[Parameter]) -> list[Parameter]:
         values = self.values()
         checked = []
         for parameter in parameter_list:
@@ -271,11 +255,11 @@ class ParameterizedNode(Node):
         self.check_values(values)
         return checked
 
-    def _unknown(self, name):
+    def _unknown(self, name: str) -> str:
         return f'unknown parameter {name!r}; {suggestion(name, self._table)}'
 
 
-def _is_neutral(value):
+def _is_neutral(value: Any) -> bool:
     if isinstance(value, (bool, np.bool_)):
         return False
     if isinstance(value, (str, list, tuple)):
@@ -283,6 +267,6 @@ def _is_neutral(value):
     return value == 0
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     """Return arrays of rclpy as lists."""
     return value if isinstance(value, (str, bool, int, float)) or value is None else list(value)

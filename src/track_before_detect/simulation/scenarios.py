@@ -16,48 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError, suggestion
+from track_before_detect.options import checked_value, declared
 from track_before_detect.simulation.sensor import add_streak, add_target
 
 _MAX_TRIES = 5000
 
 
-def _parameter(default, description, *, unit='', minimum=None, maximum=None, above=None,
-               choices=None):
-    """Declare one parameter; ``above`` is an exclusive lower bound, the others are inclusive."""
-    return dataclasses.field(default=default, metadata={
-        'description': description, 'unit': unit, 'minimum': minimum, 'maximum': maximum,
-        'above': above, 'choices': choices})
-
-
-def _checked(field, value):
-    """Return a parameter in the type of its default, or raise ParameterError."""
-    metadata = field.metadata
-    if metadata['choices']:
-        if value not in metadata['choices']:
-            raise ParameterError(
-                f'{field.name} must be one of {", ".join(metadata["choices"])}, got {value!r}')
-        return value
-    kind = type(field.default)
-    try:
-        if isinstance(value, bool):
-            raise ValueError
-        number = float(value)
-        if not math.isfinite(number) or (kind is int and number != int(number)):
-            raise ValueError
-    except (TypeError, ValueError):
-        what = 'a whole number' if kind is int else 'a number'
-        raise ParameterError(f'{field.name} must be {what}, got {value!r}') from None
-    unit = f' {metadata["unit"]}' if metadata['unit'] else ''
-    if metadata['above'] is not None and not number > metadata['above']:
-        raise ParameterError(
-            f'{field.name} must be above {metadata["above"]:g}{unit}, got {number:g}')
-    if metadata['minimum'] is not None and number < metadata['minimum']:
-        raise ParameterError(
-            f'{field.name} must be at least {metadata["minimum"]:g}{unit}, got {number:g}')
-    if metadata['maximum'] is not None and number > metadata['maximum']:
-        raise ParameterError(
-            f'{field.name} must be at most {metadata["maximum"]:g}{unit}, got {number:g}')
-    return kind(number)
+def _parameter(default: Any, description: str, **limits: Any) -> Any:
+    """Declare one parameter, of the kind of its default."""
+    kind = {int: 'integer', float: 'number', str: 'text'}[type(default)]
+    return declared(default, description, kind=kind, **limits)
 
 
 @dataclass(frozen=True)
@@ -119,7 +87,7 @@ class Scenario:
     def __post_init__(self):
         for field in dataclasses.fields(self):
             if field.metadata:
-                value = _checked(field, getattr(self, field.name))
+                value = checked_value(field.name, getattr(self, field.name), field.metadata)
                 object.__setattr__(self, field.name, value)
         if self.motion in ('crossing', 'parallel') and self.n_targets != 2:
             raise ParameterError(

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.capabilities import check_options
+from track_before_detect.checks import check_kind
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.calibration.threshold import threshold_for
@@ -88,32 +89,9 @@ class BatchDetector(ABC):
         An option asks for what this detector cannot do.
     """
 
-    # Whether a target may look like anything, or has to be a Gaussian sampled at pixel centres.
-    takes_any_psf = False
-    # Whether pixels are weighed by their noise; otherwise each counts as much as it is noisy.
-    weighs_pixels = False
-    # Whether a target may be smeared by its motion while the shutter is open.
-    knows_streaks = False
-
     def __init__(self, options: DetectorOptions):
+        check_options(options)
         self.options = options
-        if not self.takes_any_psf:
-            for name, plain in (('psf', None), ('psf_model', 'gaussian')):
-                if getattr(options, name) != plain:
-                    raise ParameterError(
-                        f'{options.detector} needs a Gaussian sampled at the pixel centres: leave '
-                        f'{name} {"out" if plain is None else plain}')
-        for name in ('range_bins_per_doppler_bin', 'doppler_ambiguities'):
-            if getattr(options, name) and options.motion_model != 'range_doppler':
-                raise ParameterError(
-                    f'{name} needs motion_model range_doppler, got {options.motion_model}')
-        if options.directions is not None and options.detector != 'pc_dp':
-            raise ParameterError(
-                f'directions needs the detector pc_dp, got {options.detector}')
-        if options.exposure_s and not self.knows_streaks:
-            raise ParameterError(
-                f'{options.detector} cannot search streaks: leave exposure_s 0, or take the '
-                f'detector convex or greedy, got {options.exposure_s:g} s')
         # Thresholds for numbers of frames and shapes, each with the frame interval it is for.
         self._thresholds: dict[tuple, list[tuple[float, float]]] = {}
 
@@ -136,11 +114,7 @@ class BatchDetector(ABC):
 
     def check_kind(self, frames: NDArray) -> None:
         """Refuse complex frames for real amplitudes, and real ones for complex amplitudes."""
-        if np.iscomplexobj(frames) != (self.options.amplitudes == 'complex'):
-            kind, wanted = (('complex', 'complex') if np.iscomplexobj(frames) else
-                            ('real', 'non-negative or signed'))
-            raise DataError(f'frames of {kind} numbers need amplitudes {wanted}, got '
-                            f'{self.options.amplitudes}')
+        check_kind(frames, self.options.amplitudes)
 
     @abstractmethod
     def noise_study(self, stamps: NDArray, shape: tuple[int, int]) -> NoiseStudy:

@@ -83,9 +83,6 @@ class PathDetector(BatchDetector):
         every frame comes from one sensor, in its own pixels.
     """
 
-    takes_any_psf = True
-    weighs_pixels = True
-    knows_streaks = True
     # Best paths of noise whose positions are refined.
     refined_in_noise = 0
 

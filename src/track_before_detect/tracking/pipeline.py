@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect import geometry
+from track_before_detect.checks import checked_stamps
 from track_before_detect.errors import DataError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
@@ -22,7 +23,6 @@ from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
 from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.stitcher import Stitcher
-from track_before_detect.tracking.timestamps import check_increasing
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
 _LOG = logging.getLogger(__name__)
@@ -114,7 +114,7 @@ class TrackingPipeline:
         result = self._detector.detect(
             FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices),
             prepared.weights, earlier, progress)
-        weighted = prepared.weights is not None and self._detector.weighs_pixels
+        weighted = prepared.weights is not None
         unit = np.array(prepared.unit) if weighted else prepared.noise_level
         period = self._period(prepared)
         trajectories = [_in_original_frames(found, prepared, unit, period)
@@ -176,14 +176,8 @@ class TrackingPipeline:
 
 
 def _check(batch: FrameBatch) -> None:
-    """Refuse a batch that cannot be searched, before anything is computed."""
-    frames, stamps = np.asarray(batch.frames), np.asarray(batch.stamps)
-    if frames.ndim != 3 or 0 in frames.shape:
-        raise DataError(
-            f'frames must have shape (T, H, W) with no empty side, got {frames.shape}')
-    if stamps.shape != (len(frames),):
-        raise DataError(f'stamps must have shape ({len(frames)},), got {stamps.shape}')
-    check_increasing(stamps, 'stamps')
+    """Refuse stamps that cannot be seconds, before anything is computed."""
+    stamps = checked_stamps(batch.stamps, len(batch.frames))
     if len(stamps) > 1:
         interval = float(np.median(np.diff(stamps)))
         least, most = INTERVALS_S

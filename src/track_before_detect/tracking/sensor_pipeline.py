@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect import geometry
-from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.capabilities import check_options
+from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.chain import prepare, PreparedBatch
 from track_before_detect.solvers.batch_detector import FoundTrajectory
@@ -36,7 +37,7 @@ class SensorPipeline:
 
     def __init__(self, array: SensorArray, options: DetectorOptions,
                  detector: PathDetector | None = None):
-        _check(options)
+        check_options(options, several_sensors=True)
         self._array = array
         self._options = options
         self._detector = detector or DETECTORS[options.detector](options, array.measurement)
@@ -109,30 +110,3 @@ class SensorPipeline:
             velocity[present] = np.gradient(positions[present][first], moments, axis=0)[back]
         return Trajectory(0, positions, amplitudes, velocity, batch.stamps, batch.frame_indices,
                           found.statistic, found.snr)
-
-
-def _check(options: DetectorOptions) -> None:
-    """Refuse options that several sensors cannot honour."""
-    if options.detector not in DETECTORS:
-        raise ParameterError(
-            f'detector must be one of {", ".join(DETECTORS)} for several sensors, got '
-            f'{options.detector!r}')
-    if options.exposure_s:
-        raise ParameterError(
-            f'exposure_s must be 0 for several sensors, got {options.exposure_s:g} s')
-    if options.registration != 'none':
-        raise ParameterError(
-            'registration must be none for several sensors, whose maps are given, got '
-            f'{options.registration!r}')
-    if options.motion_model in ('range_doppler', 'range_bearing'):
-        raise ParameterError(
-            'motion_model must be that of a plane for several sensors, got '
-            f'{options.motion_model}')
-    for name in ('variance', 'mask'):
-        if getattr(options, name) is not None:
-            raise ParameterError(
-                f'{name} must be left out for several sensors: give each Sensor its own')
-    if options.amplitude_model == 'constant':
-        raise ParameterError(
-            'amplitude_model must be fluctuating for several sensors, got constant: what is '
-            'constant in the units of one sensor is not in those of another')

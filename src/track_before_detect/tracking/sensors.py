@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-import math
 from typing import Any
 
 import numpy as np
@@ -12,12 +11,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect import geometry
 from track_before_detect.array_option import array_option, ArrayOption
+from track_before_detect.checks import checked_frames, checked_number, checked_stamps
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf, Psf
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
-from track_before_detect.tracking.timestamps import check_increasing
 
 # A plane of more pixels than all frames of a moment together, this many times, comes from maps in
 # which the sensors look at different places.
@@ -97,8 +96,9 @@ class SensorArray:
         _check_kind(sensors)
         if not len(sensors):
             raise DataError('sensors must hold at least one sensor, got none')
-        self._frames = [_checked_frames(n, sensor) for n, sensor in enumerate(sensors)]
-        stamps = [_checked_stamps(n, sensor, len(frames))
+        self._frames = [checked_frames(sensor.frames, f'frames of sensor {n}')
+                        for n, sensor in enumerate(sensors)]
+        stamps = [checked_stamps(sensor.stamps, len(frames), f'stamps of sensor {n}')
                   for n, (sensor, frames) in enumerate(zip(sensors, self._frames, strict=True))]
         kinds = {np.iscomplexobj(frames) for frames in self._frames}
         if len(kinds) > 1:
@@ -108,7 +108,9 @@ class SensorArray:
         self.variances, self.masks = (tuple(
             _array(n, name, getattr(sensor, name)) for n, sensor in enumerate(sensors))
             for name in ('variance', 'mask'))
-        self.noise_sigmas = tuple(float(sensor.noise_sigma) for sensor in sensors)
+        self.noise_sigmas = tuple(
+            checked_number(f'noise_sigma of sensor {n}', sensor.noise_sigma, above=0.0)
+            for n, sensor in enumerate(sensors))
         self.shapes = tuple(frames.shape[1:] for frames in self._frames)
         to_plane = np.array([_to_plane(n, sensor) for n, sensor in enumerate(sensors)])
         order = np.argsort(np.concatenate(stamps), kind='stable')
@@ -156,54 +158,16 @@ def _check_kind(sensors: Any) -> None:
                 f'sensors must be a list of Sensor, got {type(sensor).__name__} at {number}')
 
 
-def _is_number(value: Any) -> bool:
-    # To Python a truth value is a whole number.
-    return (isinstance(value, (int, float, np.integer, np.floating))
-            and not isinstance(value, bool))
-
-
-def _checked_frames(number: int, sensor: Sensor) -> NDArray:
-    try:
-        frames = np.asarray(sensor.frames)
-    except (TypeError, ValueError) as error:
-        raise DataError(f'frames of sensor {number} must be an array: {error}') from error
-    if frames.ndim != 3 or 0 in frames.shape:
-        raise DataError(f'frames of sensor {number} must have shape (T, H, W) with no empty side, '
-                        f'got {frames.shape}')
-    if frames.dtype.kind not in 'iufc':
-        raise DataError(f'frames of sensor {number} must hold numbers, got {frames.dtype}')
-    if not (_is_number(sensor.noise_sigma) and 0 < sensor.noise_sigma < math.inf):
-        raise ParameterError(f'noise_sigma of sensor {number} must be a number above 0, got '
-                             f'{sensor.noise_sigma!r}')
-    return frames
-
-
-def _checked_stamps(number: int, sensor: Sensor, n_frames: int) -> NDArray[np.float64]:
-    try:
-        stamps = np.asarray(sensor.stamps)
-    except (TypeError, ValueError) as error:
-        raise DataError(f'stamps of sensor {number} must be numbers: {error}') from error
-    if stamps.dtype.kind not in 'iuf':
-        raise DataError(
-            f'stamps of sensor {number} must be real numbers (seconds), got {stamps.dtype}')
-    stamps = stamps.astype(float)
-    if stamps.shape != (n_frames,):
-        raise DataError(f'stamps of sensor {number} must have shape ({n_frames},), got '
-                        f'{stamps.shape}')
-    check_increasing(stamps, f'stamps of sensor {number}')
-    return stamps
-
-
 def _psf(number: int, sensor: Sensor, options: DetectorOptions) -> Psf:
     sigma = sensor.psf_sigma_px
     if sensor.psf is None and sigma is None:
         return psf_of(options)
     if sensor.psf is not None and sigma is not None:
         raise ParameterError(f'sensor {number} must have psf or psf_sigma_px, got both')
-    if sigma is not None and not _is_number(sigma):
-        raise ParameterError(f'psf_sigma_px of sensor {number} must be a number, got {sigma!r}')
     try:
-        return GaussianPsf(sigma) if sigma is not None else ArrayPsf(np.asarray(sensor.psf))
+        if sensor.psf is not None:
+            return ArrayPsf(sensor.psf)
+        return GaussianPsf(checked_number('psf_sigma_px', sigma))
     except ParameterError as error:
         raise ParameterError(f'sensor {number}: {error}') from error
 

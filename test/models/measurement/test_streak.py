@@ -255,7 +255,7 @@ def test_simulated_streaks_have_the_given_amplitude_and_length():
     ({'exposure_s': 1.5}, 'median interval'), ({'detector': 'mt_dp'}, 'mt_dp'),
     ({'motion_model': 'range_bearing'}, 'motion_model'),
     ({'motion_model': 'range_doppler', 'range_bins_per_doppler_bin': 1.0}, 'motion_model'),
-    ({'registration': 'translation'}, 'registration'), ({'presence': 'partial'}, 'presence'),
+    ({'registration': 'translation'}, 'registration'),
     ({'amplitude_model': 'constant'}, 'amplitude_model'),
     ({'continuation': [1.0]}, 'continuation'), ({'exposure_s': -1.0}, 'at least 0')])
 def test_what_streaks_cannot_be_combined_with_is_refused_in_one_sentence(options, words):

@@ -109,10 +109,11 @@ def test_faster_targets_are_found_where_the_speed_allows(method, v_max):
 
 
 @pytest.mark.parametrize('settings, words', [
-    ({'amplitudes': 'signed'}, "amplitudes must be non-negative, got 'signed'"),
-    ({'motion_model': 'constant_velocity'}, "motion_model must be .*, got 'constant_velocity'"),
-    ({'max_acceleration_px_s2': 1.0}, 'mff_dpr cannot bound the acceleration'),
-], ids=['signed', 'constant velocity', 'acceleration'])
+    ({'amplitudes': 'signed'}, 'amplitudes=signed, only non-negative: .* largest sums'),
+    ({'motion_model': 'constant_velocity'}, 'motion_model=constant_velocity, only .* or static'),
+    ({'max_acceleration_px_s2': 1.0}, 'max_acceleration_px_s2=1, only automatic: .* the speed'),
+    ({'noise': 'map'}, 'noise=map, only none or robust: it does not weigh pixels'),
+], ids=['signed', 'constant velocity', 'acceleration', 'noise of each pixel'])
 def test_options_that_cannot_be_met_are_refused(settings, words):
     with pytest.raises(ParameterError, match=words):
         detector(**settings)
@@ -130,7 +131,7 @@ def test_stamps_that_cannot_be_searched_are_refused(stamps, words):
 
 
 def test_complex_frames_are_refused():
-    with pytest.raises(DataError, match='mff_dpr needs real frames'):
+    with pytest.raises(DataError, match='frames of complex numbers need amplitudes complex'):
         detector().detect(FrameBatch.of(np.zeros((5, 16, 16), np.complex64), np.arange(5.0)))
 
 

@@ -93,7 +93,7 @@ def test_no_path_leaves_at_the_sides_of_a_round_frame():
 
 
 def test_registration_is_refused():
-    with pytest.raises(tbd.ParameterError, match='registration must be none'):
+    with pytest.raises(tbd.ParameterError, match='=translation with motion_model=range_bearing'):
         tbd.detect(np.zeros((4, 16, 16)), motion_model='range_bearing', threshold=8,
                    registration='translation')
 

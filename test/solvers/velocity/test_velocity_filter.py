@@ -156,8 +156,8 @@ def test_a_search_too_large_is_cut_with_a_warning(caplog):
 
 
 @pytest.mark.parametrize(('option', 'said'), [
-    ({'motion_model': 'range_doppler'}, "motion_model must be one of .*, got 'range_doppler'"),
-    ({'presence': 'partial'}, "presence must be full, got 'partial'"),
+    ({'motion_model': 'range_doppler'}, 'motion_model=range_doppler, only .* straight lines'),
+    ({'presence': 'partial'}, 'presence=partial, only full'),
 ])
 def test_what_it_cannot_do_is_refused(option, said):
     with pytest.raises(ParameterError, match=said):

@@ -8,9 +8,9 @@ from dataclasses import asdict, dataclass, field
 import math
 import os
 from pathlib import Path
-import tempfile
 from typing import Any
 
+from track_before_detect.atomic_files import atomic_folder
 from track_before_detect.errors import MissingExtraError
 from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.evaluation.metrics.confidence import wilson_interval
@@ -126,9 +126,7 @@ def write_suite_result(output: str | os.PathLike, name: str, result: SuiteResult
         The files.
     """
     output = Path(output)
-    output.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=output, prefix='.partial-') as folder:
-        aside = Path(folder)
+    with atomic_folder(output) as aside:
         _write_rows(aside / f'{name}.csv', result.rows)
         write_summary_json(aside / 'summary.json', {
             'suite': name,
@@ -142,10 +140,8 @@ def write_suite_result(output: str | os.PathLike, name: str, result: SuiteResult
             figure = _figure()
             draw(figure)
             figure.savefig(aside / f'{stem}.png', dpi=110)
-        files = sorted(aside.iterdir())
-        for file in files:
-            os.replace(file, output / file.name)
-    return [output / file.name for file in files]
+        names = sorted(file.name for file in aside.iterdir())
+    return [output / name for name in names]
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:

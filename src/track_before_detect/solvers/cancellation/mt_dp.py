@@ -18,7 +18,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
 from track_before_detect.kernels.psf.measurement import whole_norm
 from track_before_detect.models.motion.transition_sets import directional_sets, TransitionSets
 from track_before_detect.option_models import psf_of
@@ -40,8 +39,6 @@ from track_before_detect.solvers.cancellation.target_cancellation import (
 from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
 from track_before_detect.types import FrameBatch, Progress, Step
 
-MOTIONS = ('nearly_constant_velocity', 'static')
-
 
 class MtDpDetector(BatchDetector):
     """Finds targets over the whole transition set, one after the other.
@@ -50,31 +47,12 @@ class MtDpDetector(BatchDetector):
     ----------
     options : DetectorOptions
         PSF, largest speed, amplitudes and threshold.
-
-    Raises
-    ------
-    ParameterError
-        An option asks for a motion other than one of bounded speed.
     """
 
-    takes_any_psf = True
-    weighs_pixels = True
     n_directions = 1
 
     def __init__(self, options: DetectorOptions):
         super().__init__(options)
-        name = options.detector
-        if options.motion_model not in MOTIONS:
-            raise ParameterError(
-                f'{name} bounds the speed of a target and nothing else, so motion_model must be '
-                f'one of {", ".join(MOTIONS)}, got {options.motion_model!r}')
-        if options.max_acceleration_px_s2 is not None:
-            raise ParameterError(
-                f'{name} does not know the velocity of a target, so max_acceleration_px_s2 must '
-                f'be automatic, got {options.max_acceleration_px_s2:g}')
-        if options.presence != 'full':
-            raise ParameterError(f'{name} follows a target through the whole batch, so presence '
-                                 f'must be full, got {options.presence!r}')
         self.psf = psf_of(options)
         self.merit = Merit(options.amplitude_model == 'fluctuating',
                            options.amplitudes == 'signed')

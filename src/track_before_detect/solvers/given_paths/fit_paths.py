@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 from scipy.sparse.csgraph import connected_components
 
+from track_before_detect.checks import as_array, checked_frames, checked_number
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.kernels.fit import given_paths as cell_kernels
 from track_before_detect.kernels.fit import group_lasso
@@ -17,7 +18,6 @@ from track_before_detect.models.measurement.psf import GaussianPsf, of_unit_norm
 from track_before_detect.solvers.given_paths import admm
 from track_before_detect.types import Step
 
-NUMBER = (int, float, np.integer, np.floating)
 AMPLITUDES = ('non-negative', 'signed', 'complex')
 
 # Frames, weights and lambda up to which squares and their sums stay finite.
@@ -142,7 +142,9 @@ def fit_paths(frames: NDArray, paths: NDArray, *, psf: NDArray | GaussianPsf, la
     """
     data, valid = _checked_frames(frames, amplitudes)
     paths = _checked_paths(paths, data.shape[1:])
-    lam, t, tol = _checked_numbers(lam, t, tol)
+    lam = checked_number('lam', lam, above=0.0, maximum=LARGEST)
+    t = checked_number('t', t, minimum=0.0, maximum=1.0)
+    tol = checked_number('tol', tol, above=0.0)
     if method not in METHODS:
         raise ParameterError(f'method must be one of {", ".join(METHODS)}, got {method!r}')
     problem = _Problem(data, valid, paths, psf)
@@ -154,15 +156,8 @@ def fit_paths(frames: NDArray, paths: NDArray, *, psf: NDArray | GaussianPsf, la
     return _WorkingSet(problem, lam, t, non_negative).run(tol, method)
 
 
-def _as_array(name, values):
-    try:
-        return np.asarray(values)
-    except ValueError as error:
-        raise DataError(f'{name} must be an array of numbers: {error}') from error
-
-
 def _checked_weights(weights, shape):
-    array = _as_array('weights', weights)
+    array = as_array('weights', weights)
     if array.dtype.kind not in 'biuf' or array.shape not in (shape, shape[1:]):
         raise DataError(f'weights must be numbers of shape ({shape[1]},) or {shape}, got '
                         f'{array.dtype} of shape {array.shape}')
@@ -181,12 +176,7 @@ def _checked_frames(frames, amplitudes):
     if amplitudes not in AMPLITUDES:
         raise ParameterError(
             f'amplitudes must be one of {", ".join(AMPLITUDES)}, got {amplitudes!r}')
-    frames = _as_array('frames', frames)
-    if frames.ndim != 3 or 0 in frames.shape:
-        raise DataError(f'frames must have the shape (T, H, W), none of them 0, got the shape '
-                        f'{frames.shape}')
-    if frames.dtype.kind not in 'biufc':
-        raise DataError(f'frames must be numbers, got an array of {frames.dtype}')
+    frames = checked_frames(frames)
     if frames.dtype.kind == 'c' and amplitudes != 'complex':
         raise DataError(f'complex frames need amplitudes complex, got {amplitudes!r}')
     valid = np.isfinite(frames)
@@ -205,7 +195,7 @@ def _checked_frames(frames, amplitudes):
 
 def _checked_paths(paths, shape):
     n_frames, height, width = shape
-    paths = _as_array('paths', paths)
+    paths = as_array('paths', paths)
     if paths.dtype.kind not in 'iuf':
         raise DataError(f'paths must be real numbers, got an array of {paths.dtype}')
     if paths.ndim != 3 or paths.shape[1:] != (n_frames, 2):
@@ -219,22 +209,6 @@ def _checked_paths(paths, shape):
         raise DataError(f'path {path} must be inside the frame of {width} x {height} pixels, got '
                         f'x = {x:g}, y = {y:g} in frame {frame}')
     return paths
-
-
-def _is_number(value):
-    # To Python a truth value is a whole number.
-    return isinstance(value, NUMBER) and not isinstance(value, bool)
-
-
-def _checked_numbers(lam, t, tol):
-    for name, value in (('lam', lam), ('tol', tol)):
-        if not (_is_number(value) and math.isfinite(value) and value > 0):
-            raise ParameterError(f'{name} must be a number above 0, got {value!r}')
-    if float(lam) > LARGEST:
-        raise ParameterError(f'lam must be at most {LARGEST:g}, got {lam!r}')
-    if not (_is_number(t) and 0 <= t <= 1):
-        raise ParameterError(f't must be a number from 0 to 1, got {t!r}')
-    return float(lam), float(t), float(tol)
 
 
 def _checked_psf(psf):

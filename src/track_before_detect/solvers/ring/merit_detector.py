@@ -69,18 +69,7 @@ class MeritDetector(BatchDetector):
 
     def __init__(self, options: DetectorOptions):
         super().__init__(options)
-        name = options.detector
-        self._method = METHODS[name]
-        if options.amplitudes != 'non-negative':
-            raise ParameterError(f'{name} looks for the largest sums, so amplitudes must be '
-                                 f'non-negative, got {options.amplitudes!r}')
-        if options.motion_model not in ('nearly_constant_velocity', 'static'):
-            raise ParameterError(f'{name} follows any motion up to max_speed_px_s, so '
-                                 'motion_model must be nearly_constant_velocity or static, got '
-                                 f'{options.motion_model!r}')
-        if options.max_acceleration_px_s2 is not None:
-            raise ParameterError(f'{name} cannot bound the acceleration: leave '
-                                 'max_acceleration_px_s2 automatic')
+        self._method = METHODS[options.detector]
         self._psf = GaussianPsf(options.psf_sigma_px)
         self._fill_radius = max(1, math.ceil(FILLED_SIGMAS * self._psf.width_px))
 
@@ -165,8 +154,7 @@ class MeritDetector(BatchDetector):
     def _places(self, frames, stamps):
         """Return the number of each frame when dropped ones are counted, shape (T,)."""
         name = self._method.name
-        if np.iscomplexobj(frames):
-            raise DataError(f'{name} needs real frames, got complex numbers')
+        self.check_kind(frames)
         side = 2 * self._fill_radius + 1
         if min(frames.shape[1:]) < side:
             raise DataError(

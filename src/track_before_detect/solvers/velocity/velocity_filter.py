@@ -5,8 +5,7 @@ grid by a least-squares fit of a straight line, so that the grid may be coarse, 
 the threshold; what they explain is taken off the frames, and the positions that this changes are
 searched again. Nothing is fitted jointly, and no trajectory is bent.
 
-A target keeps its amplitude and velocity over the batch, whatever ``amplitude_model`` and
-``max_acceleration_px_s2`` allow; it may enter and leave the frame.
+A target keeps its amplitude and velocity over the batch; it may enter and leave the frame.
 """
 
 from __future__ import annotations
@@ -19,7 +18,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.kernels.amplitude_codes import CONSTANT, SIGNED_CONSTANT
 from track_before_detect.kernels.psf.gauss_newton import maximise_statistic
 from track_before_detect.kernels.psf.measurement import whole_norm
@@ -42,8 +40,6 @@ from track_before_detect.types import FrameBatch, Progress, Step
 
 _LOG = logging.getLogger(__name__)
 
-MOTIONS = ('nearly_constant_velocity', 'constant_velocity', 'static')
-AMPLITUDES = ('non-negative', 'signed')
 # Additions that a search may take, some seconds of one core; a wider one is cut down to fit.
 MOST_ADDITIONS = 3e10
 # Share of a whole batch that border and mask have to leave of a target.
@@ -98,30 +94,10 @@ class VelocityFilterDetector(BatchDetector):
     ----------
     options : DetectorOptions
         PSF, largest speed, sign of the amplitudes and threshold.
-
-    Raises
-    ------
-    ParameterError
-        An option asks for complex amplitudes or a motion other than a straight line.
     """
-
-    takes_any_psf = True
-    weighs_pixels = True
 
     def __init__(self, options: DetectorOptions):
         super().__init__(options)
-        if options.motion_model not in MOTIONS:
-            raise ParameterError(
-                'velocity_filter searches straight lines, so motion_model must be one of '
-                f'{", ".join(MOTIONS)}, got {options.motion_model!r}')
-        if options.amplitudes not in AMPLITUDES:
-            raise ParameterError(
-                'velocity_filter adds up what keeps its sign, so amplitudes must be one of '
-                f'{", ".join(AMPLITUDES)}, got {options.amplitudes!r}')
-        if options.presence != 'full':
-            raise ParameterError(
-                'velocity_filter adds up all frames in which a line is inside, so presence must '
-                f'be full, got {options.presence!r}')
         self.psf = psf_of(options)
         self._signed = options.amplitudes == 'signed'
         self._warned = False
@@ -171,9 +147,8 @@ class VelocityFilterDetector(BatchDetector):
                earlier: EarlierPaths | None = None,
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories."""
+        self.check_kind(batch.frames)
         frames, stamps = batch.frames, batch.stamps
-        if np.iscomplexobj(frames):
-            raise DataError('velocity_filter adds up real numbers, got complex frames')
         shape = frames.shape[1:]
         grid = self.grid(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)

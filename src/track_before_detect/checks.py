@@ -1,0 +1,97 @@
+"""Checks of what is given, each said once: numbers in their range, frames, stamps."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from track_before_detect.errors import DataError, ParameterError
+
+
+def checked_number(name: str, value: Any, *, whole: bool = False, above: float | None = None,
+                   minimum: float | None = None, maximum: float | None = None,
+                   unit: str = '') -> Any:
+    """Return a finite number within its range, as an int where it has to be whole, else a float.
+
+    Parameters
+    ----------
+    name : str
+        What the sentence calls it.
+    value : number
+        No text and no truth value, which to Python is a whole number.
+    whole : bool
+        Whether a fraction is refused.
+    above, minimum, maximum : float, optional
+        An exclusive lower bound, and inclusive ones.
+    unit : str
+        Of the bounds, for the sentence.
+    """
+    try:
+        if isinstance(value, (str, bytes, bool, np.bool_)):
+            raise TypeError
+        number = float(value)
+        if not math.isfinite(number) or (whole and number != int(number)):
+            raise ValueError
+    except (TypeError, ValueError, OverflowError):
+        raise ParameterError(
+            f'{name} must be a {"whole " if whole else ""}number, got {value!r}') from None
+    for bound, holds, words in (
+            (above, above is None or number > above, 'above'),
+            (minimum, minimum is None or number >= minimum, 'at least'),
+            (maximum, maximum is None or number <= maximum, 'at most')):
+        if not holds:
+            raise ParameterError(f'{name} must be {words} {bound:g}{unit and " "}{unit}, got '
+                                 f'{number:g}')
+    return int(number) if whole else number
+
+
+def as_array(name: str, values: ArrayLike) -> NDArray:
+    """Return values as an array, or raise DataError where they are none."""
+    try:
+        return np.asarray(values)
+    except (TypeError, ValueError) as error:
+        raise DataError(f'{name} must be an array of numbers: {error}') from error
+
+
+def checked_frames(values: ArrayLike, name: str = 'frames', kinds: str = 'iufc') -> NDArray:
+    """Return frames (T, H, W) as they are, or raise DataError where they are no numbers.
+
+    ``kinds`` are the NumPy kinds of numbers that will do.
+    """
+    frames = as_array(name, values)
+    if frames.ndim != 3 or 0 in frames.shape:
+        raise DataError(
+            f'{name} must have shape (T, H, W) with no empty side, got {frames.shape}')
+    if frames.dtype.kind not in kinds:
+        raise DataError(f'{name} must hold {"" if "c" in kinds else "real "}numbers, got '
+                        f'{frames.dtype}')
+    return frames
+
+
+def check_kind(frames: NDArray, amplitudes: str) -> None:
+    """Refuse complex frames for real amplitudes, and real ones for complex amplitudes."""
+    if np.iscomplexobj(frames) != (amplitudes == 'complex'):
+        kind, wanted = (('complex', 'complex') if np.iscomplexobj(frames) else
+                        ('real', 'non-negative or signed'))
+        raise DataError(f'frames of {kind} numbers need amplitudes {wanted}, got {amplitudes}')
+
+
+def checked_stamps(values: ArrayLike, n_frames: int, name: str = 'stamps') -> NDArray[np.float64]:
+    """Return the stamps (T,) of frames in seconds, finite and increasing, or raise DataError."""
+    stamps = as_array(name, values)
+    if stamps.dtype.kind not in 'iuf':
+        raise DataError(f'{name} must be real numbers in seconds, got {stamps.dtype}')
+    if stamps.shape != (n_frames,):
+        raise DataError(f'{name} must have shape ({n_frames},), got {stamps.shape}')
+    stamps = stamps.astype(float)
+    if not np.all(np.isfinite(stamps)):
+        raise DataError(f'{name} must be finite, got {stamps[~np.isfinite(stamps)][0]}')
+    backward = np.flatnonzero(np.diff(stamps) <= 0)
+    if len(backward):
+        at = int(backward[0])
+        raise DataError(f'{name} must increase, got {stamps[at]:g} s and then '
+                        f'{stamps[at + 1]:g} s at frame {at + 1}')
+    return stamps

@@ -1,0 +1,54 @@
+"""``tbd bench``: measure time and memory on this machine."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from pathlib import Path
+import sys
+from typing import Any
+
+from track_before_detect.cli.console import check_output_file, FOUND, Progress
+from track_before_detect.recordings.writers import write_summary_json
+
+_EXAMPLES = """\
+examples:
+  tbd bench convex --output bench.json
+  tbd bench dp --output dp.json
+  on one core only, where the system has taskset:
+    taskset -c 0 tbd bench convex --output one_core.json
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the subparsers of ``tbd``."""
+    parser = commands.add_parser(
+        'bench', help='measure time and memory on this machine', epilog=_EXAMPLES,
+        description='Measure time and memory of a detector on simulated frames, stage by stage; '
+        'print a\ntable and write it as JSON with a description of the machine.')
+    parser.set_defaults(run=run)
+    parser.add_argument('bench', metavar='BENCH', nargs='?', default='convex',
+                        help='what is measured: convex (default); dp, dynamic programming beside '
+                        'plain NumPy; fit, amplitudes of thousands of given paths; parallel, '
+                        'target cancellation by direction; velocity_filter, beside plain NumPy')
+    parser.add_argument('--output', metavar='FILE.json', default='bench.json',
+                        help='file to write (default: bench.json)')
+    parser.add_argument('--repeats', metavar='R', type=int, default=7,
+                        help='measurements of each stage (default: 7)')
+    parser.add_argument('--large', action='store_true',
+                        help='also measure larger frames; convex then takes minutes and several '
+                        'gigabytes')
+
+
+def run(arguments: Namespace) -> int:
+    """Measure, print the table and write the file; return the exit code."""
+    from track_before_detect.evaluation.benchmarks.registry import bench_named
+
+    bench = bench_named(arguments.bench)
+    output = Path(arguments.output)
+    check_output_file(output, '.json')
+    with Progress(sys.stderr) as progress:
+        measured = bench.measure(arguments.repeats, arguments.large, progress)
+    write_summary_json(output, measured)
+    print(bench.table(measured))
+    print(f'written: {output}')
+    return FOUND

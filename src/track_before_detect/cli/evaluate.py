@@ -1,0 +1,91 @@
+"""``tbd evaluate``: repeat a study over many simulated recordings."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from pathlib import Path
+import shlex
+import sys
+from typing import Any
+
+from track_before_detect.cli.console import (
+    check_output_folder,
+    FOUND,
+    indented,
+    PrintAndExit,
+    Progress,
+)
+
+_EXAMPLES = """\
+examples:
+  tbd evaluate --list
+  tbd evaluate detection --runs 200 --seed 1 --output evaluation
+  tbd evaluate ring-single --runs 20 --output ring --jobs 4
+  on a cluster (joblib's Dask or Ray backend):
+    tbd evaluate ring-single --runs 1000 --output ring --backend dask --scheduler tcp://host:8786
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the subparsers of ``tbd``."""
+    parser = commands.add_parser(
+        'evaluate', help='repeat a study over many simulated recordings', epilog=_EXAMPLES,
+        description='Repeat a study over many simulated recordings, print its table and write to '
+        'DIR:\n'
+        '  report.md     the table with 95 % intervals, and the command that made it\n'
+        '  SUITE.csv     one row per run\n'
+        '  SUITE.png     the picture of the report\n'
+        '  summary.json  the table with settings and machine\n'
+        '  runs.jsonl    single results: the same command continues from them after an\n'
+        '                interruption, and one with more runs adds to them; may be deleted')
+    parser.set_defaults(run=run)
+    parser.add_argument('suite', metavar='SUITE', help='name of the study; see --list')
+    parser.add_argument('--runs', metavar='N', type=int, default=100,
+                        help='how often it is repeated (default: 100)')
+    parser.add_argument('--seed', metavar='S', type=int, default=0,
+                        help='the same seed gives the same recordings (default: 0)')
+    parser.add_argument('--output', metavar='DIR', default='evaluation',
+                        help='folder for the results, made when missing; files of an earlier '
+                        'run are replaced (default: evaluation)')
+    parser.add_argument('--jobs', metavar='N', type=int,
+                        help='runs at a time (default: one per core with joblib, else one)')
+    parser.add_argument('--backend', metavar='NAME', default='loky',
+                        help='backend of joblib that carries out the runs: loky (default), '
+                        'threading, multiprocessing, dask, ray')
+    parser.add_argument('--scheduler', metavar='ADDRESS',
+                        help='address of a Dask scheduler or a Ray cluster; without it dask and '
+                        'ray start workers on this machine')
+    parser.add_argument('--list', action=PrintAndExit, text=_listed, help='list the suites')
+
+
+def run(arguments: Namespace) -> int:
+    """Run a suite, print its table and write its files; return the exit code."""
+    from track_before_detect.evaluation.engine.kept_results import KeptResults
+    from track_before_detect.evaluation.engine.report import (
+        require_matplotlib,
+        table_text,
+        write_suite_result,
+    )
+    from track_before_detect.evaluation.engine.runner import Runner, Workers
+    from track_before_detect.evaluation.studies.registry import suite_named
+
+    suite = suite_named(arguments.suite)
+    output = Path(arguments.output)
+    workers = Workers(arguments.jobs, arguments.backend, arguments.scheduler)
+    check_output_folder(output)
+    require_matplotlib()
+    command = shlex.join(['tbd', 'evaluate', arguments.suite, '--runs', str(arguments.runs),
+                          '--seed', str(arguments.seed), '--output', arguments.output])
+    with Progress(sys.stderr) as progress:
+        result = suite.run(arguments.runs, arguments.seed, Runner(
+            progress, workers, KeptResults(output / 'runs.jsonl')))
+    written = write_suite_result(output, arguments.suite, result, command)
+    print(table_text(result.quantities))
+    print(f'written: {", ".join(map(str, written))}')
+    return FOUND
+
+
+def _listed() -> str:
+    """Return all suites."""
+    from track_before_detect.evaluation.studies.registry import SUITES
+    return '\n'.join(f'  {name}\n{indented(suite.description)}' for name, suite in SUITES.items())

@@ -1,0 +1,94 @@
+"""Where the command ``tbd`` begins and ends."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+import io
+import logging
+import os
+import signal
+import sys
+import threading
+from typing import NoReturn
+
+from track_before_detect import __version__
+from track_before_detect.cli import bench, detect, evaluate, simulate
+from track_before_detect.cli.console import (
+    BAD_INPUT,
+    fail,
+    FOUND,
+    INTERRUPTED,
+    Parser,
+    TERMINATED,
+)
+from track_before_detect.errors import TbdError
+
+_EXAMPLES = """\
+try it:
+  tbd simulate eo_ir_drones --seed 1 --output drones.npz
+  tbd detect drones.npz --output drones
+
+exit codes:
+  0  done and something found (or nothing to find)
+  2  an input or option cannot be used; one sentence on stderr says why
+  3  done and nothing found
+  130  interrupted with Ctrl-C
+  143  ended by the signal TERM
+"""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command and return its exit code."""
+    logging.basicConfig(format='tbd: %(levelname)s: %(message)s', level=logging.WARNING)
+    _prepare_output()
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _terminate)
+    try:
+        try:
+            return _run(arguments)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        # The reader of our output, such as head, has seen enough; closing must not fail again.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FOUND
+    except KeyboardInterrupt:
+        print('tbd: interrupted', file=sys.stderr)
+        return INTERRUPTED
+    except (TbdError, OSError) as error:
+        return fail('tbd', error)
+    except MemoryError:
+        return fail('tbd',
+                    'not enough memory for this recording; a smaller batch_length needs less')
+
+
+def _prepare_output() -> None:
+    """Let nothing that is printed fail for want of a stream or of a character."""
+    for name in ('stdout', 'stderr'):
+        stream = getattr(sys, name)
+        if stream is None:
+            setattr(sys, name, open(os.devnull, 'w', encoding='utf-8'))
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors='backslashreplace')
+
+
+def _terminate(*_: object) -> NoReturn:
+    """End like an error does, so that no half-written file stays."""
+    sys.exit(TERMINATED)
+
+
+def _run(arguments: Sequence[str] | None) -> int:
+    parser = Parser(
+        prog='tbd', epilog=_EXAMPLES,
+        description='Find dim moving targets in sequences of frames where no single frame shows '
+        'them\n(track-before-detect).')
+    parser.add_argument('--version', action='version', version=f'tbd {__version__}')
+    parser.set_defaults(run=None)
+    commands = parser.add_subparsers(title='commands', metavar='COMMAND')
+    for command in (detect, simulate, evaluate, bench):
+        command.add_parser(commands)
+    options = parser.parse_args(arguments)
+    if options.run is None:
+        parser.print_help()
+        return BAD_INPUT
+    return options.run(options)

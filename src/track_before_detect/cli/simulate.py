@@ -1,0 +1,81 @@
+"""``tbd simulate``: make a recording with known targets."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from track_before_detect.cli.console import (
+    add_set_argument,
+    assignments,
+    check_output_file,
+    FOUND,
+    indented,
+    option_lines,
+    PrintAndExit,
+)
+from track_before_detect.recordings.writers import write_npz_recording
+from track_before_detect.simulation import scenarios
+from track_before_detect.simulation.scenarios import Scenario, SCENARIOS
+
+_EXAMPLES = """\
+examples:
+  tbd simulate --list
+  tbd simulate three_targets --seed 7 --output three.npz
+  tbd simulate crossing --seed 7 --set snr=2.5 --set n_frames=40 --output crossing.npz
+"""
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the subparsers of ``tbd``."""
+    parser = commands.add_parser(
+        'simulate', help='make a recording with known targets', epilog=_EXAMPLES,
+        description='Make a recording with known targets and write it as .npz with frames, '
+        'stamps and\ntruth rows [frame, id, x, y].')
+    parser.set_defaults(run=run)
+    parser.add_argument('scenario', metavar='SCENARIO', help=f'one of: {", ".join(SCENARIOS)}')
+    parser.add_argument('--seed', metavar='S', type=int, default=0,
+                        help='the same seed gives the same recording (default: 0)')
+    parser.add_argument('--output', metavar='FILE.npz',
+                        help='file to write (default: SCENARIO.npz)')
+    add_set_argument(parser, 'set one parameter of the scenario; may be repeated')
+    parser.add_argument('--list', action=PrintAndExit, text=_listed,
+                        help='list the scenarios and their parameters')
+
+
+def run(arguments: Namespace) -> int:
+    """Simulate and write the recording; return the exit code."""
+    output = Path(arguments.output or f'{arguments.scenario}.npz')
+    check_output_file(output, '.npz')
+    made = scenarios.simulate(arguments.scenario, arguments.seed, **assignments(arguments.set))
+    write_npz_recording(output, made.frames, made.stamps, made.truth)
+    scenario = made.scenario
+    targets = f'{scenario.n_targets} target{"" if scenario.n_targets == 1 else "s"}'
+    print(f'{output}: {scenario.n_frames} frames of {scenario.height} x {scenario.width} px at '
+          f'{scenario.fps:g} Hz, {targets}')
+    return FOUND
+
+
+def _listed() -> str:
+    """Return all scenarios and their parameters."""
+    lines = ['Scenarios:']
+    for name, scenario in SCENARIOS.items():
+        lines.append(f'  {name}\n{indented(scenario.description)}')
+        differences = _differences(scenario)
+        if differences:
+            lines.append(indented(differences))
+    lines.append('\nParameters of every scenario (--set KEY=VALUE):')
+    for field in dataclasses.fields(Scenario):
+        if field.metadata:
+            option = {'name': field.name, 'default': field.default, **field.metadata}
+            lines.append(option_lines(option, ''))
+    return '\n'.join(lines)
+
+
+def _differences(scenario: Scenario) -> str:
+    """Return what makes a scenario differ from the defaults of its parameters."""
+    return ', '.join(f'{field.name}={getattr(scenario, field.name)}'
+                     for field in dataclasses.fields(Scenario)
+                     if field.metadata and getattr(scenario, field.name) != field.default)
