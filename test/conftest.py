@@ -30,8 +30,9 @@ def calibrate_on(monkeypatch, tmp_path):
 
 def pytest_collection_modifyitems(items):
     # Two processes that began with detectors would both compile all their loops; the tests of the
-    # loops share them out. Nodes come later, and find them compiled.
-    items.sort(key=lambda item: HERE / 'evaluation' in item.path.parents)
+    # loops, which come first, share them out. Studies come last: they find them compiled.
+    order = {'kernels': 0, 'evaluation': 2}
+    items.sort(key=lambda item: order.get(item.path.relative_to(HERE).parts[0], 1))
 
 
 @pytest.hookimpl(optionalhook=True)
