@@ -18,10 +18,21 @@ settings.register_profile('shared', settings(), deadline=None)
 settings.load_profile('shared')
 
 
+@pytest.fixture
+def calibrate_on(monkeypatch, tmp_path):
+    """Return what makes a test calibrate anew, on at most so many crops of noise."""
+    def most(n_crops):
+        monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+        monkeypatch.setattr(
+            'track_before_detect.solvers.calibration.threshold.MOST_CROPS', n_crops)
+    return most
+
+
 def pytest_collection_modifyitems(items):
     # Two processes that began with detectors would both compile all their loops; the tests of the
-    # loops share them out. Nodes come later, and find them compiled.
-    items.sort(key=lambda item: HERE / 'evaluation' in item.path.parents)
+    # loops, which come first, share them out. Studies come last: they find them compiled.
+    order = {'kernels': 0, 'evaluation': 2}
+    items.sort(key=lambda item: order.get(item.path.relative_to(HERE).parts[0], 1))
 
 
 @pytest.hookimpl(optionalhook=True)

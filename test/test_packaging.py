@@ -1,6 +1,8 @@
-"""The package as it is installed: metadata that agree, and who imports whom."""
+"""The package as it is installed: metadata that agree, who imports whom, documents that fit."""
 
 import ast
+from collections import Counter
+import graphlib
 from pathlib import Path
 import re
 import subprocess
@@ -47,6 +49,27 @@ ALLOWED = {
     'option_tables': {'options', 'capabilities'},
     'ros': BASICS | {'__init__', 'cli', 'recordings', 'simulation', 'tracking'},
 }
+# The same within a room, for its folders and for files that lie beside them. What is not listed
+# here, such as the files at the top of the solvers, binds the others together.
+TOOLS = {'search', 'refine', 'calibration'}
+FRAME = {'batch_detector', 'pixel_statistics'}
+WITHIN = {
+    'solvers': {
+        'search': {'batch_detector'},
+        'refine': set(),
+        'calibration': {'path_statistic', 'search'},
+        'convex': TOOLS | {'batch_detector', 'path_detector', 'path_statistic'},
+        'given_paths': set(),
+        'ring': FRAME | {'calibration'},
+        'cancellation': FRAME | {'calibration'},
+        'velocity': FRAME | {'calibration'},
+    },
+    'evaluation': {
+        'metrics': set(),
+        'engine': {'metrics'},
+    },
+}
+MOST_FILES = 14
 
 
 def imported_names(path):
@@ -66,6 +89,11 @@ def room_of(path):
     return path.relative_to(SOURCE).parts[0].removesuffix('.py')
 
 
+def module_of(path):
+    parts = path.relative_to(SOURCE.parent).with_suffix('').parts
+    return '.'.join(parts[:-1] if parts[-1] == '__init__' else parts)
+
+
 @pytest.mark.parametrize('path', MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
 def test_a_room_imports_only_the_rooms_below_it(path):
     room = room_of(path)
@@ -75,6 +103,40 @@ def test_a_room_imports_only_the_rooms_below_it(path):
     # A name that is no file or folder, such as __version__, comes from the package itself.
     ours = {name if name in rooms else '__init__' for name in ours}
     assert ours - {room} <= ALLOWED[room]
+
+
+@pytest.mark.parametrize(('room', 'folder'), [
+    (room, folder) for room, folders in WITHIN.items() for folder in folders])
+def test_a_folder_of_a_room_imports_only_the_folders_below_it(room, folder):
+    paths = sorted((SOURCE / room / folder).rglob('*.py'))
+    assert paths
+    prefix = f'{PACKAGE}.{room}.'
+    for path in paths:
+        ours = {name.removeprefix(prefix).split('.')[0] for name in imported_names(path)
+                if name.startswith(prefix)}
+        assert ours - {folder} <= WITHIN[room][folder], path
+
+
+def test_imports_make_no_circle():
+    modules = {module_of(path): path for path in MODULES}
+    imports = {}
+    for module, path in modules.items():
+        imports[module] = set()
+        for node in ast.parse(path.read_text(encoding='utf-8')).body:
+            if isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    full = f'{node.module}.{alias.name}'
+                    imports[module].add(full if full in modules else node.module)
+        # Importing a module runs the package it is in first, which may not import it in turn.
+        imports[module] &= modules.keys() - {PACKAGE}
+    graphlib.TopologicalSorter(imports).prepare()
+
+
+@pytest.mark.parametrize('top', [SOURCE, ROOT / 'test'], ids=['package', 'tests'])
+def test_no_folder_holds_more_files_than_can_be_looked_over(top):
+    files = Counter(path.parent for path in top.rglob('*.py'))
+    assert files
+    assert {folder: count for folder, count in files.items() if count > MOST_FILES} == {}
 
 
 @pytest.mark.parametrize('path', MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
@@ -111,6 +173,53 @@ def test_detectors_load_without_the_slow_parts_of_scipy():
     loaded = done.stdout.split()
     assert 'scipy.ndimage' in loaded
     assert not {'scipy.stats', 'scipy.signal'} & set(loaded)
+
+
+def document(name):
+    path = ROOT / name
+    if not path.exists():
+        pytest.skip('the tests do not run from the source folder')
+    return path.read_text(encoding='utf-8')
+
+
+DOCUMENTS = ('README.md', 'CONTRIBUTING.md', 'docs/architecture.md')
+
+
+@pytest.mark.parametrize('name', DOCUMENTS)
+def test_every_file_that_a_document_links_to_exists(name):
+    links = re.findall(r'\]\(([^)#:]+)(?:#[^)]*)?\)', document(name))
+    assert links
+    folder = (ROOT / name).parent
+    assert [link for link in links if not (folder / link).exists()] == []
+
+
+@pytest.mark.parametrize('name', DOCUMENTS)
+def test_every_path_that_a_document_names_exists(name):
+    # A file of Python, or a folder: `solvers/greedy.py`, `test/ros/`, `docs/constants/`.
+    paths = re.findall(r'`((?:[\w.-]+/)*(?:[\w-]+\.py|[\w-]+/))`', document(name))
+    assert paths
+    of_the_user = {'output/', 'result/'}
+    assert [path for path in paths if path not in of_the_user
+            and not (SOURCE / path).exists() and not (ROOT / path).exists()] == []
+
+
+def test_every_name_of_the_index_is_defined_in_its_file():
+    entries = re.findall(r'`([\w/]+\.py)`: ((?:`\w+`(?:, )?)+)', document('docs/architecture.md'))
+    assert len(entries) > 40
+    missing = []
+    for path, names in entries:
+        source = SOURCE / path
+        text = source.read_text(encoding='utf-8') if source.exists() else ''
+        missing += [(path, name) for name in re.findall(r'`(\w+)`', names) if not re.search(
+            rf'^ *(class|def) {name}\b|^ *{name}\b.*[:=]', text, re.MULTILINE)]
+    assert missing == []
+
+
+def test_one_detection_is_understood_from_a_few_files():
+    order = document('docs/architecture.md').partition('reading order\n')[2].partition('\n## ')[0]
+    files = re.findall(r'`([\w/]+\.py)`', order)
+    assert 15 <= len(files) <= 25
+    assert len(files) == len(set(files))
 
 
 def manifest():

@@ -2,6 +2,7 @@ import io
 import os
 from pathlib import Path
 import tempfile
+import weakref
 import zipfile
 
 from hypothesis import given, settings
@@ -11,9 +12,9 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import DataError
-from track_before_detect.recordings import recording as recording_module
 from track_before_detect.recordings.readers import open_recording
 from track_before_detect.recordings.readers_images import natural_key
+from track_before_detect.recordings.recording import CACHE_BYTES, Recording
 from track_before_detect.recordings.writers import write_npz_recording
 
 RNG = np.random.default_rng(20)
@@ -84,28 +85,44 @@ def test_stamps_come_from_stamps_then_fps_then_one_second(tmp_path):
             assert recording.truth is None
 
 
-def test_long_recording_is_not_held_in_memory(tmp_path, monkeypatch):
-    frames = np.arange(200 * 16 * 16, dtype=np.float32).reshape(200, 16, 16)
-    monkeypatch.setattr(recording_module, 'CACHE_BYTES', 10 * frames[0].nbytes)
-    path = tmp_path / 'long.npz'
-    np.savez_compressed(path, frames=frames)
-    with open_recording(path) as recording:
-        for start in range(0, 190, 5):
+class CountedSource:
+    """Makes frames, and tells which were asked for and which are still held."""
+
+    def __init__(self, shape):
+        self.shape = shape
+        self.asked, self.made = [], []
+
+    def read(self, index):
+        frame = np.zeros(self.shape, np.float32)
+        frame[0, 0] = index
+        self.asked.append(index)
+        self.made.append(weakref.ref(frame))
+        return frame
+
+    def close(self):
+        pass
+
+    def n_held(self):
+        return sum(frame() is not None for frame in self.made)
+
+
+def test_long_recording_is_not_held_in_memory():
+    shape = (2048, 1024)
+    source = CountedSource(shape)
+    with Recording('long', shape, np.float32, 60, source) as recording:
+        for start in range(0, 50, 5):
             for k in range(start, start + 10):
-                np.testing.assert_array_equal(recording[k], frames[k])
-        assert len(recording._cache) == 10
+                assert recording[k][0, 0] == k
+        assert 10 <= source.n_held() <= CACHE_BYTES // (4 * shape[0] * shape[1])
+    assert source.n_held() == 0
 
 
-def test_overlapping_batches_read_the_file_once(tmp_path):
-    path = tmp_path / 'a.npz'
-    np.savez_compressed(path, frames=FRAMES)
-    with open_recording(path) as recording:
-        reads = []
-        read = recording._source.read
-        recording._source.read = lambda k: reads.append(k) or read(k)
+def test_overlapping_batches_read_a_frame_once():
+    source = CountedSource((7, 6))
+    with Recording('short', (7, 6), np.float32, 5, source) as recording:
         for k in (0, 1, 2, 1, 2, 3, 2, 3, 4):
             recording[k]
-        assert reads == [0, 1, 2, 3, 4]
+    assert source.asked == [0, 1, 2, 3, 4]
 
 
 def test_index_counts_from_the_end_and_is_bounded(tmp_path):

@@ -106,9 +106,8 @@ def test_search_that_is_cut_short_says_so(monkeypatch):
     assert (result.status, len(result.found)) == ('iteration_limit', 1)
 
 
-def test_threshold_is_that_of_paths_on_the_grid(tmp_path, monkeypatch):
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 800)
+def test_threshold_is_that_of_paths_on_the_grid(calibrate_on):
+    calibrate_on(800)
     options = {'max_speed_px_s': 0.0, 'false_alarm_rate': 0.5}
     greedy, convex = (
         DETECTOR_CLASSES[name](DetectorOptions(detector=name, **options))

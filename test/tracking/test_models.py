@@ -244,9 +244,8 @@ def test_constant_amplitudes_of_either_sign_are_those_of_the_turned_frames(prese
     assert dark.statistic == pytest.approx(bright.statistic, rel=1e-6)
 
 
-def test_masked_noise_holds_as_many_constant_targets_as_asked_for(tmp_path, monkeypatch):
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 1000)
+def test_masked_noise_holds_as_many_constant_targets_as_asked_for(calibrate_on):
+    calibrate_on(500)
 
     def passes(generator):
         frames = generator.standard_normal((6, 32, 32))

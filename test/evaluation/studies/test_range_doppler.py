@@ -15,14 +15,13 @@ def quiet(label, done):
 
 
 @pytest.fixture
-def small(monkeypatch, tmp_path):
+def small(monkeypatch, calibrate_on):
     """Make the maps few and small, the targets slower and the calibration short."""
     scene = dataclasses.replace(suite.SCENE, height=64, width=24, n_frames=6, psf_sigma_px=2.0,
                                 speed_px_per_frame=2.0)
     overrides = {name: getattr(scene, name) for name in
                  ('height', 'width', 'n_frames', 'psf_sigma_px', 'speed_px_per_frame')}
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 150)
+    calibrate_on(150)
     monkeypatch.setattr(suite, 'SCENE', scene)
     monkeypatch.setattr(suite, 'simulate',
                         lambda name, seed, simulate=suite.simulate:

@@ -269,9 +269,8 @@ def test_masked_pixels_and_noise_of_wrapped_maps_go_round_with_the_columns():
     assert np.abs(trajectory.positions[:, 1] - rows).mean() < 0.5
 
 
-def test_realised_rate_with_ambiguous_doppler_is_the_requested_one(tmp_path, monkeypatch):
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr(threshold, 'MOST_CROPS', 300)
+def test_realised_rate_with_ambiguous_doppler_is_the_requested_one(calibrate_on):
+    calibrate_on(300)
     rate, shape, stamps = 0.3, (180, 24), np.arange(8.0)
     detector = ConvexDetector(DetectorOptions(
         psf_sigma_px=2.0, motion_model='range_doppler', range_bins_per_doppler_bin=0.2,

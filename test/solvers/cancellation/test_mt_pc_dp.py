@@ -122,9 +122,8 @@ def test_masked_pixels_are_not_searched(detector):
 
 
 @pytest.mark.parametrize('detector', DETECTORS)
-def test_threshold_holds_the_false_alarm_rate_asked_for(detector, tmp_path, monkeypatch):
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 800)
+def test_threshold_holds_the_false_alarm_rate_asked_for(detector, calibrate_on):
+    calibrate_on(800)
     options = DetectorOptions(psf_sigma_px=0.3, max_speed_px_s=1.0, false_alarm_rate=0.1)
     made = detector(options)
     threshold = made.threshold(STAMPS, (50, 50))
@@ -159,10 +158,8 @@ def test_targets_of_complex_frames_are_found_by_name(name):
 
 
 @pytest.mark.parametrize('name', ['mt_dp', 'pc_dp'])
-def test_complex_noise_realises_the_false_alarm_rate_asked_for_by_name(name, tmp_path,
-                                                                       monkeypatch):
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 400)
+def test_complex_noise_realises_the_false_alarm_rate_asked_for_by_name(name, calibrate_on):
+    calibrate_on(400)
     rate = 0.2
 
     def passes(generator):

@@ -7,7 +7,6 @@ from false_alarms import assert_rate_is_realised
 import track_before_detect as tbd
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.solvers.calibration import threshold as threshold_module
 from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.constant_search import ConstantSearch
@@ -44,9 +43,8 @@ def test_dim_targets_of_constant_modulus_are_found_at_least_as_often_as_if_it_fl
     assert rates['constant'] >= rates['fluctuating'] - 0.1
 
 
-def test_noise_holds_as_many_targets_of_constant_modulus_as_asked_for(tmp_path, monkeypatch):
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr(threshold_module, 'MOST_CROPS', 300)
+def test_noise_holds_as_many_targets_of_constant_modulus_as_asked_for(calibrate_on):
+    calibrate_on(300)
     options = {'amplitudes': 'complex', 'amplitude_model': 'constant', 'psf_sigma_px': 2.0,
                'false_alarm_rate': 0.3}
 

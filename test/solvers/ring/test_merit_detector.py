@@ -6,7 +6,6 @@ import pytest
 from track_before_detect import detect
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.calibration import threshold
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.types import FrameBatch
@@ -146,10 +145,9 @@ def test_second_order_refuses_speeds_beyond_its_candidates():
 
 
 @pytest.mark.parametrize('method', ['cfo_dp', 'mff_dpr'])
-def test_noise_yields_trajectories_at_the_requested_rate(method, monkeypatch, tmp_path):
+def test_noise_yields_trajectories_at_the_requested_rate(method, calibrate_on):
     # Fewer crops than a user's calibration takes, in a cache of their own.
-    monkeypatch.setattr(threshold, 'MOST_CROPS', 600)
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    calibrate_on(600)
     settings = DetectorOptions(detector=method, false_alarm_rate=0.2, psf_sigma_px=1.0)
     searched = MeritDetector(settings)
     noise = np.random.default_rng(10)

@@ -72,9 +72,8 @@ def test_target_over_the_seam_keeps_its_id_over_batches():
     assert np.nanmax(apart(result.trajectories[0].positions, course)) < 1.5
 
 
-def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 800)
+def test_realised_rate_in_noise_is_the_requested_one(calibrate_on):
+    calibrate_on(800)
     n_runs, rate, shape = 200, 0.3, (32, 160)
     detector = ConvexDetector(DetectorOptions(
         psf_sigma_px=2.0, motion_model='range_bearing', false_alarm_rate=rate))

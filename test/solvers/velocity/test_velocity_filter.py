@@ -110,9 +110,8 @@ def test_statistic_has_unit_variance_under_masks_and_variance():
     assert np.std(h) == pytest.approx(1.0, abs=0.03)
 
 
-def test_threshold_holds_the_false_alarm_rate_asked_for(tmp_path, monkeypatch):
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
-    monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 500)
+def test_threshold_holds_the_false_alarm_rate_asked_for(calibrate_on):
+    calibrate_on(500)
     made = detector(threshold=None, false_alarm_rate=0.1, max_speed_px_s=0.5)
     stamps, shape = np.arange(6.0), (24, 24)
     made.threshold(stamps, shape)
