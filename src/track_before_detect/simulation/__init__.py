@@ -1,1 +1,1 @@
-"""Simulated scenes with known truth."""
+"""Simulated scenes with known truth: parameters, motions, what a sensor makes of them, names."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.evaluation.metrics.gospa import trajectory_gospa
 from track_before_detect.evaluation.metrics.matching import match_trajectories
-from track_before_detect.evaluation.metrics.track_metrics import track_quality
+from track_before_detect.evaluation.metrics.track_quality import track_quality
 from track_before_detect.evaluation.studies.parallel.scenes import SIX_STATES
 from track_before_detect.evaluation.studies.ring.scenes import ring_multi
 from track_before_detect.options import DetectorOptions
