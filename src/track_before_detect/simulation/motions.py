@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.simulation.parameters import Scenario
+
+if TYPE_CHECKING:
+    from track_before_detect.simulation.scenarios import Scenario
 
 _MAX_TRIES = 5000
 
