@@ -1,1 +1,1 @@
-"""Simulated scenes with known truth."""
+"""Simulated scenes with known truth: by name, their motions, and what a sensor makes of them."""

@@ -6,7 +6,6 @@ Gaussian point spread function, so ``snr`` is the amplitude in one frame.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 import dataclasses
 from dataclasses import dataclass
 import math
@@ -17,9 +16,8 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.options import checked_value, declared
-from track_before_detect.simulation.sensor import add_streak, add_target
-
-_MAX_TRIES = 5000
+from track_before_detect.simulation.motions import place_targets
+from track_before_detect.simulation.sensor import add_path
 
 
 def _parameter(default: Any, description: str, **limits: Any) -> Any:
@@ -84,7 +82,7 @@ class Scenario:
         4.0, 'Least distance of a target to the edge of the frame.', unit='px', minimum=0.0,
         maximum=1e6)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for field in dataclasses.fields(self):
             if field.metadata:
                 value = checked_value(field.name, getattr(self, field.name), field.metadata)
@@ -163,10 +161,6 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
     **overrides
         Parameters of :class:`Scenario` to change; the noise does not depend on them as long as
         the frames keep their size.
-
-    Returns
-    -------
-    SimulatedRecording
     """
     scenario = _overridden(name, overrides)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
@@ -174,25 +168,23 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
     for_noise, for_motion, for_amplitude = (
         np.random.default_rng(part) for part in np.random.SeedSequence(int(seed)).spawn(3))
     shape = (scenario.n_frames, scenario.height, scenario.width)
-    positions = _place(name, scenario, for_motion)
+    positions = place_targets(name, scenario, for_motion)
     snr = scenario.snr * for_amplitude.uniform(1.0, scenario.snr_spread, len(positions))
     amplitudes = np.repeat(snr[:, None], scenario.n_frames, axis=1)
     if scenario.fluctuation == 'rayleigh':
         amplitudes *= np.sqrt(for_amplitude.exponential(1.0, amplitudes.shape))
     frames = for_noise.standard_normal(shape, np.float32)
     for path, amplitude in zip(positions, amplitudes, strict=True):
-        around = scenario.width * np.arange(-1, 2) if scenario.doppler_ambiguities else [0]
+        # Columns that go round show a target at both edges.
+        turns = (-1, 0, 1) if scenario.doppler_ambiguities else (0,)
         if scenario.doppler_ambiguities:
             path[:, 0] = (path[:, 0] + 0.5) % scenario.width - 0.5
-        streaks = np.zeros_like(path)
+        streaks = None
         if scenario.exposure_s and scenario.n_frames > 1:
             streaks = scenario.exposure_s * scenario.fps * np.gradient(path, axis=0)
-        for frame, (x, y), a, streak in zip(frames, path, amplitude, streaks, strict=True):
-            for shift in around:
-                if scenario.exposure_s:
-                    add_streak(frame, x + shift, y, scenario.psf_sigma_px, a, streak)
-                else:
-                    add_target(frame, x + shift, y, scenario.psf_sigma_px, a)
+        for turn in turns:
+            add_path(frames, path + [turn * scenario.width, 0], scenario.psf_sigma_px, amplitude,
+                     streaks)
     truth = [np.column_stack([np.arange(len(path)), np.full(len(path), target), path])
              for target, path in enumerate(positions)]
     return SimulatedRecording(
@@ -200,7 +192,7 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
         np.concatenate(truth) if truth else np.zeros((0, 4)), scenario)
 
 
-def _overridden(name, overrides):
+def _overridden(name: str, overrides: dict[str, Any]) -> Scenario:
     """Return the scenario of that name with some parameters changed."""
     if name not in SCENARIOS:
         raise ParameterError(f'unknown scenario {name!r}; {suggestion(name, SCENARIOS)}')
@@ -210,109 +202,3 @@ def _overridden(name, overrides):
             raise ParameterError(
                 f'unknown parameter {key!r} of a scenario; {suggestion(key, names)}')
     return dataclasses.replace(SCENARIOS[name], **overrides)
-
-
-def _place(name, scenario, rng) -> NDArray[np.float64]:
-    """Return positions (N, T, 2) as x, y inside the frame and far enough apart."""
-    low = np.full(2, scenario.border_px)
-    high = np.array([scenario.width, scenario.height]) - 1 - scenario.border_px
-    together = scenario.motion in ('crossing', 'parallel')
-    draw = _MOTIONS[scenario.motion]
-    placed: list[NDArray] = []
-    tries = 0
-    while len(placed) < scenario.n_targets:
-        tries += 1
-        if tries > _MAX_TRIES:
-            raise ParameterError(
-                f'scenario {name} cannot place {scenario.n_targets} targets in '
-                f'{scenario.height} x {scenario.width} px over {scenario.n_frames} frames; make '
-                'the frames larger or the targets fewer or slower')
-        paths = draw(scenario, rng)
-        # A path is drawn about the origin, then put where it fits.
-        room_low = low - paths.min(axis=(0, 1))
-        room_high = high - paths.max(axis=(0, 1))
-        if (room_low > room_high).any():
-            continue
-        if scenario.motion == 'range_doppler':
-            # Its columns say how fast it moves.
-            if scenario.doppler_ambiguities:
-                room_low[0] = -scenario.doppler_ambiguities * scenario.width - paths[..., 0].min()
-                room_high[0] = ((1 + scenario.doppler_ambiguities) * scenario.width - 1
-                                - paths[..., 0].max())
-            if not room_low[0] <= 0 <= room_high[0]:
-                continue
-            room_low[0] = room_high[0] = 0.0
-        paths = paths + rng.uniform(room_low, room_high)
-        if together:
-            return paths
-        if all(np.hypot(*(paths[0] - other).T).min() >= scenario.separation_px
-               for other in placed):
-            placed.append(paths[0])
-    return np.array(placed).reshape(-1, scenario.n_frames, 2)
-
-
-def _direction(angle):
-    return np.array([np.cos(angle), np.sin(angle)]).T
-
-
-def _turning_path(scenario, rng, speed, turn_rate):
-    """Return positions (1, T, 2) with constant speed and turn rate, from the origin."""
-    k = np.arange(scenario.n_frames)[:, None]
-    heading = rng.uniform(0, 2 * np.pi)
-    if abs(turn_rate) < 1e-9:
-        return (speed * k * _direction(heading))[None]
-    # The integral of speed * (cos, sin) of a heading that grows with the turn rate.
-    angle = heading + turn_rate * k[:, 0]
-    offset = _direction(angle - np.pi / 2) - _direction(heading - np.pi / 2)
-    return (speed / turn_rate * offset)[None]
-
-
-def _draw_line(scenario, rng):
-    return _turning_path(scenario, rng, rng.uniform(0.0, scenario.speed_px_per_frame), 0.0)
-
-
-def _draw_turn(scenario, rng):
-    limit = scenario.turn_rate_rad_per_frame
-    speed = rng.uniform(0.0, scenario.speed_px_per_frame)
-    return _turning_path(scenario, rng, speed, rng.uniform(-limit, limit))
-
-
-def _draw_arc(scenario, rng):
-    turn_rate = rng.choice((-1.0, 1.0)) * scenario.speed_px_per_frame / scenario.radius_px
-    return _turning_path(scenario, rng, scenario.speed_px_per_frame, turn_rate)
-
-
-def _draw_crossing(scenario, rng):
-    k = np.arange(scenario.n_frames) - 0.5 * (scenario.n_frames - 1)
-    heading = rng.uniform(0, 2 * np.pi)
-    velocities = scenario.speed_px_per_frame * _direction(np.array([heading, heading + np.pi / 2]))
-    return velocities[:, None, :] * k[None, :, None]
-
-
-def _draw_parallel(scenario, rng):
-    heading = rng.uniform(0, 2 * np.pi)
-    k = np.arange(scenario.n_frames)[:, None]
-    path = scenario.speed_px_per_frame * k * _direction(heading)
-    return np.array([path, path + scenario.separation_px * _direction(heading + np.pi / 2)])
-
-
-def _draw_range_doppler(scenario, rng):
-    seconds = (np.arange(scenario.n_frames) - 0.5 * (scenario.n_frames - 1)) / scenario.fps
-    rows_per_column = scenario.range_bins_per_doppler_bin
-    fastest = scenario.speed_px_per_frame * scenario.fps
-    if rows_per_column == 0:
-        raise ParameterError('range_bins_per_doppler_bin must not be 0 for motion range_doppler')
-    drift = rng.uniform(-0.5, 0.5) * scenario.doppler_drift_bins
-    column_rate = drift / max(seconds[-1], 1e-9)
-    # The speed is largest at one end of the recording, and holds for rows and columns together.
-    room = math.sqrt(max(fastest**2 - column_rate**2, 0.0)) - abs(rows_per_column * drift)
-    column = rng.uniform(-1.0, 1.0) * max(room, 0.0) / rows_per_column
-    rows = rows_per_column * (column * seconds + 0.5 * column_rate * seconds**2)
-    columns = scenario.width // 2 + column + column_rate * seconds
-    return np.stack([columns, rows], axis=1)[None]
-
-
-_MOTIONS: dict[str, Callable[[Scenario, np.random.Generator], NDArray]] = {
-    'lines': _draw_line, 'turns': _draw_turn, 'arc': _draw_arc, 'crossing': _draw_crossing,
-    'parallel': _draw_parallel, 'range_doppler': _draw_range_doppler,
-}

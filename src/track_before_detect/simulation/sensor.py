@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 # Beyond this many standard deviations a Gaussian is below float32 rounding of its peak.
 _REACH_SIGMAS = 6.0
@@ -68,31 +68,41 @@ def add_streak(frame: NDArray, x: float, y: float, sigma: float, amplitude: floa
                                     columns.start - left:columns.stop - left]
 
 
-def gaussian_stamp_image(shape: tuple[int, int], x: float, y: float,
-                         sigma: float) -> NDArray[np.float64]:
-    """Return an image of one stamp, sampled at pixel centres.
-
-    The norm is 1 before the stamp is cut at the border of the image.
+def add_path(frames: NDArray, path: NDArray, sigma: float, amplitudes: ArrayLike,
+             streaks: NDArray | None = None) -> None:
+    """Add a target to each of the frames it is in, in place.
 
     Parameters
     ----------
-    shape : tuple of int
-        Height and width in pixels.
-    x, y : float
-        Position in pixels.
+    frames : array, shape (T, H, W)
+    path : array, shape (T, 2)
+        x and y in pixels; NaN where the target is absent.
     sigma : float
-        Standard deviation in pixels.
+        Standard deviation of the point spread function in pixels.
+    amplitudes : float or array, shape (T,)
+        Factor of the unit-norm stamp, or streak.
+    streaks : array, shape (T, 2), optional
+        Ways during the exposures in pixels; without them the shutter is open for an instant.
+    """
+    streaks = np.zeros(path.shape) if streaks is None else streaks
+    for frame, (x, y), amplitude, streak in zip(
+            frames, path, np.broadcast_to(amplitudes, len(path)), streaks, strict=True):
+        if np.isfinite(x):
+            add_streak(frame, x, y, sigma, amplitude, streak)
 
-    Returns
-    -------
-    array, shape (H, W)
+
+def gaussian_stamp_image(shape: tuple[int, int], x: float, y: float,
+                         sigma: float) -> NDArray[np.float64]:
+    """Return an image (H, W) of one stamp, sampled at pixel centres; arguments as above.
+
+    The norm is 1 before the stamp is cut at the border of the image.
     """
     image = np.zeros(shape)
     add_target(image, x, y, sigma, 1.0)
     return image
 
 
-def _profile(centre, sigma):
+def _profile(centre: float, sigma: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return pixel indices around ``centre`` and unit-norm samples of a Gaussian there."""
     reach = max(1, int(np.ceil(_REACH_SIGMAS * sigma)))
     pixels = np.arange(int(np.rint(centre)) - reach, int(np.rint(centre)) + reach + 1)

@@ -6,7 +6,7 @@ import pytest
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.metrics.paper_metrics import count_points, track_errors
 from track_before_detect.evaluation.metrics.roc import roc
-from track_before_detect.evaluation.metrics.track_metrics import track_quality
+from track_before_detect.evaluation.metrics.track_quality import track_quality
 
 
 def straight(x, y, n_frames=10):

@@ -8,32 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 import dataclasses
-import multiprocessing
-import resource
-import signal
-import sys
 from typing import Any
 
-from track_before_detect.errors import DataError
-from track_before_detect.evaluation.benchmarks import search as bench_search
-from track_before_detect.evaluation.benchmarks.timing import (
-    aligned,
-    checked_repeats,
-    in_ms,
-    summary,
-    timed,
-)
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
+from track_before_detect.evaluation.benchmarks import path_search
+from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
+from track_before_detect.evaluation.benchmarks.own_process import in_own_process, peak_memory
+from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
+from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
-from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.simulation.scenarios import simulate, SimulatedRecording
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.path_search import PathSearch
 from track_before_detect.tracking.pipeline import TrackingPipeline
-from track_before_detect.types import FrameBatch, Progress
-
-SEED = 1
+from track_before_detect.types import FrameBatch
 
 
 @dataclasses.dataclass(frozen=True)
@@ -43,6 +32,10 @@ class Case:
     name: str
     scenario: str
     overrides: Mapping[str, Any] = dataclasses.field(default_factory=dict)
+
+    def measure(self, repeats: int) -> dict[str, Any]:
+        """Measure it in a process of its own."""
+        return in_own_process(measure_case, self, repeats)
 
 
 _SCENES: tuple[tuple[str, str, dict[str, Any]], ...] = (
@@ -55,56 +48,14 @@ _FEW_AND_MANY = (_SCENES[2], ('fifty targets, SNR 5', 'three_targets',
 _CROWD = (('200 targets, SNR 5', 'three_targets', {'n_targets': 200, 'snr': 5.0}),)
 
 
-def convex_cases(large: bool) -> list[Case]:
+def cases(large: bool) -> dict[str, Sequence[Case | path_search.SearchCase]]:
     """Return what ``tbd bench convex`` measures."""
     sizes = [((128, 128), _SCENES), ((256, 256), _FEW_AND_MANY)]
     if large:
         sizes += [((512, 640), _SCENES), ((512, 512), _CROWD)]
-    return [Case(name, scenario, {'height': height, 'width': width, 'n_frames': 20, **overrides})
-            for (height, width), scenes in sizes for name, scenario, overrides in scenes]
-
-
-def measure_convex(repeats: int, large: bool, progress: Progress) -> dict[str, Any]:
-    """Measure the standard cases; parameters as below and in :func:`convex_cases`."""
-    return bench_convex(repeats, convex_cases(large), progress,
-                        bench_search.search_cases() if large else ())
-
-
-def bench_convex(repeats: int, cases: Sequence[Case], progress: Progress,
-                 searches: Sequence[tuple[str, int]] = ()) -> dict[str, Any]:
-    """Measure the convex detector.
-
-    Parameters
-    ----------
-    repeats : int
-        Measurements of each stage.
-    cases : sequence of Case
-        What to search.
-    progress : callable
-        Called with a label and the share done, 0 to 1.
-    searches : sequence of (str, int)
-        Searches without frames: name and number of frames.
-
-    Returns
-    -------
-    dict
-        ``bench``, ``seed``, ``repeats``, ``machine``, ``cases`` and ``searches``; times in
-        seconds, memory in bytes.
-    """
-    checked_repeats(repeats)
-    measured = []
-    n_all = len(cases) + len(searches)
-    for number, case in enumerate(cases):
-        progress('measuring', number / n_all)
-        measured.append(_in_own_process(measure_case, case, repeats))
-    searched = []
-    for number, (name, n_frames) in enumerate(searches):
-        progress('measuring', (len(cases) + number) / n_all)
-        searched.append(_in_own_process(
-            bench_search.measure_search, name, n_frames, repeats, bench_search.GRID_SHAPE))
-    progress('measuring', 1.0)
-    return {'bench': 'convex', 'seed': SEED, 'repeats': repeats, 'machine': describe_machine(),
-            'cases': measured, 'searches': searched}
+    scenes = [Case(name, scenario, {'height': height, 'width': width, 'n_frames': 20, **overrides})
+              for (height, width), scenes in sizes for name, scenario, overrides in scenes]
+    return {'cases': scenes, 'searches': path_search.SEARCHES if large else ()}
 
 
 def measure_case(case: Case, repeats: int) -> dict[str, Any]:
@@ -132,21 +83,23 @@ def measure_case(case: Case, repeats: int) -> dict[str, Any]:
     }
 
 
-def _measure_detection(made, options, repeats):
+def _measure_detection(made: SimulatedRecording, options: DetectorOptions,
+                       repeats: int) -> dict[str, Any]:
     """Measure whole detections."""
-    before = _peak_memory()
+    before = peak_memory()
     detector = ConvexDetector(options)
     result = detector.detect(FrameBatch.of(made.frames, made.stamps))
     [seconds] = timed([lambda: detector.detect(FrameBatch.of(made.frames, made.stamps))], repeats)
     return {
         'n_trajectories': len(result.found),
-        'peak_memory_bytes': _peak_memory(),
+        'peak_memory_bytes': peak_memory(),
         'peak_memory_before_bytes': before,
         'detection': summary(seconds),
     }
 
 
-def _measure_stages(made, options, repeats):
+def _measure_stages(made: SimulatedRecording, options: DetectorOptions,
+                    repeats: int) -> dict[str, Any]:
     """Measure the stages of a search on one thread, and a copy of one weight for each state."""
     shape = made.frames.shape[1:]
     graph = ConvexDetector(options).graph(made.stamps, shape)
@@ -156,13 +109,12 @@ def _measure_stages(made, options, repeats):
     search.run(scores)
     filtering, searching, layer = timed(
         [lambda: search.scores(made.frames), lambda: search.run(scores),
-         bench_search.copying(graph, search.grid_shape)], repeats)
-    return bench_search.compared(graph, search.grid_shape,
+         path_search.copying(graph, search.grid_shape)], repeats)
+    return path_search.compared(graph, search.grid_shape,
                                  {'matched_filter': filtering, 'path_search': searching}, layer)
 
 
-def bench_table(measured: Mapping[str, Any]) -> str:
-    """Return the measurements as text."""
+def _lines(measured: Mapping[str, Any]) -> list[str]:
     rows = [('frames', 'scene', 'found', 'detection', 'its CPU', 'scores*', 'search*',
              'ns/state*', 'detection/copy', 'scores/copy*', 'search/copy*', 'peak MiB')]
     for case in measured['cases']:
@@ -186,49 +138,13 @@ def bench_table(measured: Mapping[str, Any]) -> str:
     if measured['searches']:
         alone = [('grid', 'search alone*', 'ms', 'ns/state', 'ns/weight computed',
                  'over copy of volume', 'over copy of weights computed'),
-                *bench_search.search_rows(measured['searches'])]
+                *path_search.search_rows(measured['searches'])]
         lines += ['', *aligned(alone)]
-    return '\n'.join([*lines, f'{machine_line()}.'])
+    return lines
 
 
-def _ms(times):
+def _ms(times: Mapping[str, float]) -> str:
     return in_ms(times, 1 if times['min'] < 0.1 else 0)
 
 
-def _peak_memory():
-    """Return the largest resident memory of this process so far in bytes."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == 'darwin' else 1024 * peak
-
-
-def _in_own_process(function, *arguments):
-    """Return what a function returns in a new process, which ends with it."""
-    context = multiprocessing.get_context('spawn')
-    receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_send_result, args=(sender, function, arguments),
-                              daemon=True)
-    process.start()
-    sender.close()
-    try:
-        succeeded, outcome = receiver.recv()
-    except EOFError:
-        process.join()
-        raise DataError(
-            f'a measurement was ended by the system (exit code {process.exitcode}), as it does '
-            'when memory runs out') from None
-    finally:
-        process.terminate()
-        process.join()
-    if not succeeded:
-        raise outcome
-    return outcome
-
-
-def _send_result(sender, function, arguments):
-    """Call a function and send what it returns or raises."""
-    # An interruption reaches the whole group; the parent ends this process then.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        sender.send((True, function(*arguments)))
-    except Exception as error:  # handed on to the parent, which raises it
-        sender.send((False, error))
+BENCH = Bench('convex', cases, _lines)

@@ -6,25 +6,19 @@ single targets, which a maximum over the pixels adds little to, in MATLAB on an 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
 from track_before_detect.evaluation.benchmarks.numpy_merit import numpy_merit_functions
-from track_before_detect.evaluation.benchmarks.timing import (
-    aligned,
-    checked_repeats,
-    in_ms,
-    summary,
-    timed,
-)
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
+from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
+from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.models.motion.velocity_candidates import straight_lines, whole_velocities
 from track_before_detect.solvers.ring.merit_functions import merit_functions
-from track_before_detect.types import Progress
 
-SEED = 1
 # As many as the longest sequences of the paper.
 N_FRAMES = 100
 # NumPy is slow enough to be measured on fewer.
@@ -41,73 +35,59 @@ PAPER_SIDE_PX = 128
 LARGE_SIDE_PX = 512
 
 
-def measure_dp(repeats: int, large: bool, progress: Progress) -> dict[str, Any]:
-    """Measure every method for largest velocities of 1 and 2 pixels per frame.
+@dataclass(frozen=True)
+class Order:
+    """One order and largest velocity in square frames; NumPy is slow enough to get fewer."""
 
-    Parameters
-    ----------
-    repeats : int
-        Measurements of each method.
-    large : bool
-        Whether to measure frames of 512 x 512 pixels too.
-    progress : callable
-        Called with a label and the share done, 0 to 1.
+    side_px: int
+    order: str
+    v_max: int
+    n_frames: int = N_FRAMES
+    n_frames_numpy: int = N_FRAMES_NUMPY
 
-    Returns
-    -------
-    dict
-        ``bench``, ``seed``, ``repeats``, ``machine`` and ``cases``; times in seconds a frame.
-    """
-    checked_repeats(repeats)
-    cases = [(side, order, v_max)
-             for side in ([PAPER_SIDE_PX, LARGE_SIDE_PX] if large else [PAPER_SIDE_PX])
-             for v_max in SPEEDS for order in ORDERS]
-    measured = []
-    for number, case in enumerate(cases):
-        progress('measuring', number / len(cases))
-        measured.append(measure_case(*case, repeats))
-    progress('measuring', 1.0)
-    return {'bench': 'dp', 'seed': SEED, 'repeats': repeats, 'machine': describe_machine(),
-            'cases': measured}
+    def measure(self, repeats: int) -> dict[str, Any]:
+        """Measure it; NumPy and the compiled methods take turns."""
+        frames = np.random.default_rng(SEED).standard_normal(
+            (self.n_frames, self.side_px, self.side_px), dtype=np.float32)
+        few = frames[:self.n_frames_numpy]
+        variants = [(f'{self.order}_dp{ring}', n_threads)
+                    for ring in ('', 'r') for n_threads in THREADS]
 
+        def accumulate(method: str, n_threads: int) -> Callable[[], Any]:
+            return lambda: merit_functions(frames, method, self.v_max, n_threads)
 
-def measure_case(side_px: int, order: str, v_max: int, repeats: int) -> dict[str, Any]:
-    """Measure one order and largest velocity; NumPy and the compiled methods take turns."""
-    frames = np.random.default_rng(SEED).standard_normal(
-        (N_FRAMES, side_px, side_px), dtype=np.float32)
-    few = frames[:N_FRAMES_NUMPY]
-    variants = [(f'{order}_dp{ring}', n_threads) for ring in ('', 'r') for n_threads in THREADS]
-
-    def accumulate(method, n_threads):
-        return lambda: merit_functions(frames, method, v_max, n_threads)
-
-    stages = [accumulate(*variant) for variant in variants]
-    # Compilation is not what a frame costs.
-    for stage in stages:
-        stage()
-    *compiled, plain = timed(
-        [*stages, lambda: numpy_merit_functions(few, order, v_max)], repeats)
-    plain /= len(few)
-    methods = [{'method': method, 'threads': n_threads, 'per_frame': summary(seconds / N_FRAMES)}
-               for (method, n_threads), seconds in zip(variants, compiled, strict=True)]
-    one_thread = compiled[0] / N_FRAMES
-    return {
-        'side_px': side_px,
-        'order': order,
-        'v_max': v_max,
-        'n_candidates': len(whole_velocities(v_max) if order == 'cfo' else straight_lines(v_max)),
-        'methods': methods,
-        'numpy': summary(plain),
-        'numpy_over_compiled_cpu': {
-            'of_minima': float(plain[:, 1].min() / one_thread[:, 1].min()),
-            'median': float(np.median(plain[:, 1] / one_thread[:, 1])),
-        },
-        'paper_ms': list(PAPER_MS[order, v_max]) if side_px == PAPER_SIDE_PX else None,
-    }
+        stages = [accumulate(*variant) for variant in variants]
+        # Compilation is not what a frame costs.
+        for stage in stages:
+            stage()
+        *compiled, plain = timed(
+            [*stages, lambda: numpy_merit_functions(few, self.order, self.v_max)], repeats)
+        compiled = [seconds / len(frames) for seconds in compiled]
+        plain /= len(few)
+        ratio = plain[:, 1] / compiled[0][:, 1]
+        return {
+            'side_px': self.side_px, 'order': self.order, 'v_max': self.v_max,
+            'n_candidates': len(whole_velocities(self.v_max) if self.order == 'cfo'
+                                else straight_lines(self.v_max)),
+            'methods': [{'method': method, 'threads': n_threads, 'per_frame': summary(seconds)}
+                        for (method, n_threads), seconds in zip(variants, compiled, strict=True)],
+            'numpy': summary(plain),
+            'numpy_over_compiled_cpu': {
+                'of_minima': float(plain[:, 1].min() / compiled[0][:, 1].min()),
+                'median': float(np.median(ratio))},
+            'paper_ms': (list(PAPER_MS[self.order, self.v_max])
+                         if self.side_px == PAPER_SIDE_PX else None),
+        }
 
 
-def dp_table(measured: Mapping[str, Any]) -> str:
-    """Return the measurements as text."""
+def cases(large: bool) -> dict[str, list[Order]]:
+    """Return every method for largest velocities of 1 and 2 pixels per frame."""
+    sides = [PAPER_SIDE_PX, LARGE_SIDE_PX] if large else [PAPER_SIDE_PX]
+    return {'cases': [Order(side, order, v_max)
+                      for side in sides for v_max in SPEEDS for order in ORDERS]}
+
+
+def _lines(measured: Mapping[str, Any]) -> list[str]:
     rows = [('frames', 'v_max', 'candidates', 'method', '1 thread', 'its CPU', '2 threads',
              'ring/plain', 'NumPy', 'NumPy/1 thread', 'paper')]
     for case in measured['cases']:
@@ -124,15 +104,15 @@ def dp_table(measured: Mapping[str, Any]) -> str:
                 '' if ring else _ms(case['numpy']['cpu_s']),
                 '' if ring else f'{ratio["of_minima"]:.1f} ({ratio["median"]:.1f})',
                 str(case['paper_ms'][ring]) if case['paper_ms'] else ''))
-    lines = aligned(rows)
-    lines += [
+    return [
+        *aligned(rows),
         f'Times in ms a frame, least of {measured["repeats"]} (median in brackets); ratios and '
         'NumPy by CPU time.',
-        'Paper: Table 1 of Fu et al. 2022 (MATLAB, Intel i5-2400 at 3.1 GHz).',
-        f'{machine_line()}.',
-    ]
-    return '\n'.join(lines)
+        'Paper: Table 1 of Fu et al. 2022 (MATLAB, Intel i5-2400 at 3.1 GHz).']
 
 
-def _ms(times):
+def _ms(times: Mapping[str, float]) -> str:
     return in_ms(times, 3)
+
+
+BENCH = Bench('dp', cases, _lines)

@@ -2,30 +2,24 @@
 
 Frames of one row with four targets of either sign, and all paths of constant velocity up to one
 pixel a frame in steps of 0.05 whose PSF stays inside. To a duality gap of 1e-6 of the objective,
-pricing of all paths included. ``test/solvers/test_fit_paths.py`` compares with skglm.
+pricing of all paths included. ``test/solvers/given_paths/test_fit_paths.py`` compares with skglm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.benchmarks.timing import (
-    aligned,
-    checked_repeats,
-    in_ms,
-    summary,
-    timed,
-)
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
+from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
+from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
+from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.solvers.given_paths.fit_paths import fit_paths
-from track_before_detect.types import Progress
 
-SEED = 1
 WIDTH_PX = 200
 N_FRAMES = 20
 N_TARGETS = 4
@@ -35,33 +29,26 @@ LAMBDAS = (6.0, 7.5)
 TOLERANCE = 1e-6
 
 
-def measure_fit(repeats: int, large: bool, progress: Progress) -> dict[str, Any]:
-    """Measure the fit at each lambda; ``large`` changes nothing.
+@dataclass(frozen=True)
+class Fit:
+    """The fit at one lambda."""
 
-    Parameters
-    ----------
-    repeats : int
-        Measurements of each.
-    large : bool
-        Of no consequence.
-    progress : callable
-        Called with a label and the share done, 0 to 1.
-    """
-    checked_repeats(repeats)
-    progress('measuring', 0.0)
-    frames, paths = all_constant_velocities(np.random.default_rng(SEED))
-    fits = [lambda lam=lam: fit_paths(frames, paths, psf=GaussianPsf(1.0), lam=lam,
-                                      amplitudes='signed', tol=TOLERANCE) for lam in LAMBDAS]
-    # Compilation is not what a fit costs.
-    done = [fit() for fit in fits]
-    seconds = timed(fits, repeats)
-    progress('measuring', 1.0)
-    return {'bench': 'fit', 'seed': SEED, 'repeats': repeats, 'machine': describe_machine(),
-            'n_paths': len(paths), 'n_frames': N_FRAMES, 'cases': [
-                {'lam': lam, 'gap': fit.gap, 'objective': fit.objective,
-                 'n_used': int(np.count_nonzero(np.any(fit.amplitudes, axis=1))),
-                 'fit': summary(taken)}
-                for lam, fit, taken in zip(LAMBDAS, done, seconds, strict=True)]}
+    lam: float
+
+    def measure(self, repeats: int) -> dict[str, Any]:
+        """Measure it."""
+        frames, paths = all_constant_velocities(np.random.default_rng(SEED))
+
+        def fitted() -> Any:
+            return fit_paths(frames, paths, psf=GaussianPsf(1.0), lam=self.lam,
+                             amplitudes='signed', tol=TOLERANCE)
+
+        # Compilation is not what a fit costs.
+        fit = fitted()
+        [seconds] = timed([fitted], repeats)
+        return {'lam': self.lam, 'gap': fit.gap, 'objective': fit.objective,
+                'n_used': int(np.count_nonzero(np.any(fit.amplitudes, axis=1))),
+                'fit': summary(seconds)}
 
 
 def all_constant_velocities(generator: np.random.Generator) -> tuple[NDArray, NDArray]:
@@ -79,14 +66,20 @@ def all_constant_velocities(generator: np.random.Generator) -> tuple[NDArray, ND
     return frames, np.stack([x, np.zeros_like(x)], axis=-1)
 
 
-def fit_table(measured: Mapping[str, Any]) -> str:
-    """Return the measurements as text."""
+def _facts() -> dict[str, Any]:
+    _, paths = all_constant_velocities(np.random.default_rng(SEED))
+    return {'n_paths': len(paths), 'n_frames': N_FRAMES}
+
+
+def _lines(measured: Mapping[str, Any]) -> list[str]:
     rows = [('lambda', 'paths used', 'gap / objective', 'wall ms', 'CPU ms')]
     for case in measured['cases']:
         rows.append((f'{case["lam"]:g}', str(case['n_used']),
                      f'{case["gap"] / case["objective"]:.1e}',
                      in_ms(case['fit']['wall_s'], 1), in_ms(case['fit']['cpu_s'], 1)))
-    return '\n'.join([
-        *aligned(rows), '',
-        f'{measured["n_paths"]} paths over {measured["n_frames"]} frames; least of '
-        f'{measured["repeats"]} (median in brackets).', f'{machine_line()}.'])
+    return [*aligned(rows), '',
+            f'{measured["n_paths"]} paths over {measured["n_frames"]} frames; least of '
+            f'{measured["repeats"]} (median in brackets).']
+
+
+BENCH = Bench('fit', lambda large: {'cases': [Fit(lam) for lam in LAMBDAS]}, _lines, _facts)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from track_before_detect.models.motion.velocity_candidates import (
     matching_bits,
@@ -52,7 +52,8 @@ def numpy_merit_functions(frames: NDArray, order: str, v_max: int) -> NDArray[np
 class Padded:
     """An image with a border, seen from pixels that moved."""
 
-    def __init__(self, shape, border, outside, dtype=np.float32):
+    def __init__(self, shape: tuple[int, ...], border: int, outside: float,
+                 dtype: DTypeLike = np.float32):
         self._border = border
         self._image = np.full([n + 2 * border for n in shape], outside, dtype)
         self._shape = shape
@@ -71,7 +72,7 @@ class Padded:
 class _SecondOrder:
     """Steps of cso_dp and mff_dp."""
 
-    def __init__(self, frames, order, v_max):
+    def __init__(self, frames: NDArray, order: str, v_max: int):
         shape = frames.shape[1:]
         self._frames, self._averaging = frames, order == 'mff'
         lines = straight_lines(v_max)
@@ -87,7 +88,7 @@ class _SecondOrder:
         self._better, self._matches = np.empty(shape, bool), np.empty(shape, bool)
         self._bits = np.empty(shape, needed.dtype)
 
-    def step(self, merit, t):
+    def step(self, merit: NDArray, t: int) -> None:
         """Write the merit function of frame t."""
         starting = t < 4
         self._merits[0].fill((self._frames if starting else merit)[t - 1])

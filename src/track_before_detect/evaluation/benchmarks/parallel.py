@@ -8,20 +8,17 @@ computing everything again, which Eq. 18 is about.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+import itertools
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from track_before_detect.evaluation.benchmarks.timing import (
-    aligned,
-    checked_repeats,
-    in_ms,
-    summary,
-    timed,
-)
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
+from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
+from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
+from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.evaluation.metrics.paper_metrics import track_errors
 from track_before_detect.evaluation.studies.parallel import scenes as parallel_scenes
 from track_before_detect.evaluation.studies.parallel.scenes import ParallelScene
@@ -30,9 +27,7 @@ from track_before_detect.models.motion.transition_sets import directional_sets, 
 from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
 from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
-from track_before_detect.types import Progress
 
-SEED = 1
 SNR_DB = 8.0
 P_FA = 0.1
 N_DIRECTIONS = 4
@@ -50,6 +45,35 @@ class Case:
     noise_runs: int
     runs: int
 
+    def measure(self, repeats: int) -> dict[str, Any]:
+        """Measure both methods."""
+        rng = np.random.default_rng(SEED)
+        reaches = [1] * parallel_scenes.N_FRAMES
+        sets = {'mt_dp': directional_sets(reaches, 1),
+                'pc_dp': directional_sets(reaches, N_DIRECTIONS)}
+        noise = [_search(noise_frames(rng, (parallel_scenes.N_FRAMES, *self.shape), True))
+                 for _ in range(self.noise_runs)]
+        bounds = {name: float(np.quantile([search.largest_merit(parts) for search in noise],
+                                          1 - P_FA)) for name, parts in sets.items()}
+        del noise
+        first = self.draw(rng)
+        scenes = itertools.chain([first], (self.draw(rng) for _ in range(self.runs - 1)))
+        runs = [{name: _outcome(_search(scene.frames), scene, parts, bounds[name])
+                 for name, parts in sets.items()} for scene in scenes]
+        return {
+            'name': self.name,
+            'shape': list(self.shape),
+            'n_targets': len(first.positions),
+            'runs': self.runs,
+            **{key: {name: float(np.mean([run[name][key] for run in runs])) for name in sets}
+               for key in ('detected', 'tracks', 'candidates', 'candidates_of_slowest', 'plain',
+                           'plain_of_slowest')},
+            'eq_18': float(np.mean([run['pc_dp']['found_of_most']
+                                    / (max(run['mt_dp']['found_of_most'], 1) * N_DIRECTIONS)
+                                    for run in runs])),
+            'times': _times(first, sets, bounds, repeats),
+        }
+
 
 CASES = (
     Case('six targets', parallel_scenes.SHAPE,
@@ -57,68 +81,15 @@ CASES = (
     Case('24 targets', (512, 512),
          lambda rng: parallel_scenes.many_targets(24, SNR_DB, rng, (512, 512)), 100, 10),
 )
+Sets = Mapping[str, Sequence[TransitionSets]]
 
 
-def measure_parallel(repeats: int, large: bool, progress: Progress) -> dict[str, Any]:
-    """Measure both methods.
-
-    Parameters
-    ----------
-    repeats : int
-        Measurements of each stage.
-    large : bool
-        Makes no difference: frames of 512 x 512 cells are always measured.
-    progress : callable
-        Called with a label and the share done, 0 to 1.
-    """
-    checked_repeats(repeats)
-    measured = []
-    for number, case in enumerate(CASES):
-        progress('measuring', number / len(CASES))
-        measured.append(measure_case(case, repeats))
-    progress('measuring', 1.0)
-    return {'bench': 'parallel', 'seed': SEED, 'repeats': repeats, 'snr_db': SNR_DB, 'p_fa': P_FA,
-            'machine': describe_machine(), 'cases': measured}
-
-
-def measure_case(case: Case, repeats: int) -> dict[str, Any]:
-    """Measure one scene."""
-    rng = np.random.default_rng(SEED)
-    reaches = [1] * parallel_scenes.N_FRAMES
-    sets = {'mt_dp': directional_sets(reaches, 1),
-            'pc_dp': directional_sets(reaches, N_DIRECTIONS)}
-    noise = [_search(noise_frames(rng, (parallel_scenes.N_FRAMES, *case.shape), True))
-             for _ in range(case.noise_runs)]
-    bounds = {name: float(np.quantile([search.largest_merit(parts) for search in noise],
-                                      1 - P_FA)) for name, parts in sets.items()}
-    del noise
-    first, runs = None, []
-    for _ in range(case.runs):
-        scene = case.draw(rng)
-        first = first or scene
-        runs.append({name: _outcome(_search(scene.frames), scene, parts, bounds[name])
-                     for name, parts in sets.items()})
-    assert first is not None
-    return {
-        'name': case.name,
-        'shape': list(case.shape),
-        'n_targets': len(first.positions),
-        'runs': case.runs,
-        **{key: {name: float(np.mean([run[name][key] for run in runs])) for name in sets}
-           for key in ('detected', 'tracks', 'candidates', 'candidates_of_slowest', 'plain',
-                       'plain_of_slowest')},
-        'eq_18': float(np.mean([run['pc_dp']['found_of_most']
-                                / (max(run['mt_dp']['found_of_most'], 1) * N_DIRECTIONS)
-                                for run in runs])),
-        'times': _times(first, sets, bounds, repeats),
-    }
-
-
-def _search(frames):
+def _search(frames: NDArray) -> TargetSearch:
     return TargetSearch(measure(frames, POINT), cores(POINT), MERIT)
 
 
-def _outcome(search, scene, parts, bound):
+def _outcome(search: TargetSearch, scene: ParallelScene, parts: Sequence[TransitionSets],
+             bound: float) -> dict[str, Any]:
     """Return what a method finds and looks at."""
     searches = search.run_parallel(parts, bound, 1)
     tracks = searches[0].tracks if len(parts) == 1 else search.fuse(searches, bound)
@@ -141,15 +112,16 @@ def _candidates(part: TransitionSets) -> int:
     return int(part.sizes[part.sets[-1]])
 
 
-def _times(scene, sets, bounds, repeats):
+def _times(scene: ParallelScene, sets: Sets, bounds: Mapping[str, float],
+           repeats: int) -> dict[str, Any]:
     """Return times of the stages, which take turns."""
     search = _search(scene.frames)
 
-    def whole():
+    def whole() -> None:
         search.run_parallel(sets['mt_dp'], bounds['mt_dp'], 1)
 
-    def by_direction(n_threads):
-        def run():
+    def by_direction(n_threads: int) -> Callable[[], None]:
+        def run() -> None:
             bound = bounds['pc_dp']
             search.fuse(search.run_parallel(sets['pc_dp'], bound, n_threads), bound)
 
@@ -161,8 +133,7 @@ def _times(scene, sets, bounds, repeats):
             zip(stages, timed(list(stages.values()), repeats), strict=True)}
 
 
-def parallel_table(measured: Mapping[str, Any]) -> str:
-    """Return the measurements as text."""
+def _lines(measured: Mapping[str, Any]) -> list[str]:
     rows = [('scene', 'cells', 'method', 'P_d', 'tracks', 'candidates', 'slowest part', 'over MT',
              'plain', 'slowest part', 'over MT', 'Eq. 18', '1 thread', 'its CPU', '2 threads')]
     for case in measured['cases']:
@@ -179,26 +150,28 @@ def parallel_table(measured: Mapping[str, Any]) -> str:
                 _ratio(case, 'plain_of_slowest', name), f'{case["eq_18"]:.3f}' if pc else '',
                 _ms(alone['wall_s']), _ms(alone['cpu_s']),
                 _ms(case['times']['pc_dp, 2 threads']['wall_s']) if pc else ''))
-    lines = aligned(rows)
     statistic = ', '.join(f'{_ms(case["times"]["statistic"]["wall_s"])} for {case["name"]}'
                           for case in measured['cases'])
-    lines += [
+    return [
+        *aligned(rows),
         f'{measured["snr_db"]:g} dB, P_fa = {measured["p_fa"]:g}; candidates in millions, plain: '
         'with everything computed again for each target.',
         f'Times in ms, least of {measured["repeats"]} (median in brackets), without the matched '
-        f'filter that both share: {statistic}.',
-        f'{machine_line()}.',
-    ]
-    return '\n'.join(lines)
+        f'filter that both share: {statistic}.']
 
 
-def _ratio(case, key, name):
+def _ratio(case: Mapping[str, Any], key: str, name: str) -> str:
     return '' if name == 'mt_dp' else f'{case[key][name] / case[key]["mt_dp"]:.3f}'
 
 
-def _millions(count):
+def _millions(count: float) -> str:
     return f'{count / 1e6:.3f}'
 
 
-def _ms(times):
+def _ms(times: Mapping[str, float]) -> str:
     return in_ms(times, 2)
+
+
+# Frames of 512 x 512 cells are always measured.
+BENCH = Bench('parallel', lambda large: {'cases': CASES}, _lines,
+              lambda: {'snr_db': SNR_DB, 'p_fa': P_FA})

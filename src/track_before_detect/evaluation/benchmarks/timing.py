@@ -9,14 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
-
-
-def checked_repeats(repeats: int) -> None:
-    """Refuse a number of measurements that nothing can be measured with."""
-    if repeats < 1:
-        raise ParameterError(f'repeats must be at least 1, got {repeats}')
-
 
 def timed(stages: Sequence[Callable[[], Any]], repeats: int) -> NDArray[np.float64]:
     """Return wall and CPU seconds of stages, shape (stages, repeats, 2).
@@ -42,10 +34,3 @@ def summary(seconds: NDArray) -> dict[str, dict[str, float]]:
 def in_ms(times: Mapping[str, float], digits: int) -> str:
     """Return one clock of :func:`summary` as text: the least in ms, the median in brackets."""
     return f'{1e3 * times["min"]:.{digits}f} ({1e3 * times["median"]:.{digits}f})'
-
-
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    """Return the lines of a table whose columns end below each other."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return ['  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
-            for row in rows]

@@ -2,27 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.benchmarks.timing import (
-    aligned,
-    checked_repeats,
-    in_ms,
-    summary,
-    timed,
-)
-from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
+from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
+from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
+from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.velocity_grid import velocity_grid, VelocityGrid
 from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.velocity.shift_and_stack import VelocityStack
-from track_before_detect.types import Progress
 
-SEED = 1
 N_FRAMES = 20
 SIDES_PX = (128, 512)
 # Velocity components up to one pixel per frame, one pixel per batch apart: 39 x 39 velocities.
@@ -31,59 +25,43 @@ LEAST_PHI = 2.0
 THREADS = (1, 2)
 
 
-def measure_velocity(repeats: int, large: bool, progress: Progress) -> dict[str, Any]:
-    """Measure the search with a variance for each pixel and masks.
+@dataclass(frozen=True)
+class Square:
+    """A search of square frames, with a variance for each pixel and masks."""
 
-    Parameters
-    ----------
-    repeats : int
-        Measurements of each stage.
-    large : bool
-        Whether to measure frames of 512 x 512 pixels too.
-    progress : callable
-        Called with a label and the share done, 0 to 1.
-    """
-    checked_repeats(repeats)
-    sides = SIDES_PX if large else SIDES_PX[:1]
-    measured = []
-    for number, side in enumerate(sides):
-        progress('measuring', number / len(sides))
-        measured.append(measure_side(side, repeats))
-    progress('measuring', 1.0)
-    return {'bench': 'velocity_filter', 'seed': SEED, 'repeats': repeats,
-            'machine': describe_machine(), 'cases': measured}
+    side_px: int
+    n_frames: int = N_FRAMES
 
+    def measure(self, repeats: int) -> dict[str, Any]:
+        """Measure it."""
+        rng = np.random.default_rng(SEED)
+        frames = rng.standard_normal((self.n_frames, self.side_px, self.side_px), np.float32)
+        frames[rng.random(frames.shape) < 0.05] = np.nan
+        weights = rng.uniform(0.5, 1.5, (1, *frames.shape[1:])).astype(np.float32)
+        psf = GaussianPsf(1.0)
+        grid = velocity_grid(np.arange(float(self.n_frames)), MAX_SPEED_PX, disc=False)
+        data = measure(frames, psf, weights)
+        psi, phi = data.psi[0], data.phi
+        stacks = [VelocityStack(grid, psi.shape[1:], LEAST_PHI, n_threads=n) for n in THREADS]
 
-def measure_side(side_px: int, repeats: int) -> dict[str, Any]:
-    """Measure square frames."""
-    rng = np.random.default_rng(SEED)
-    frames = rng.standard_normal((N_FRAMES, side_px, side_px), dtype=np.float32)
-    frames[rng.random(frames.shape) < 0.05] = np.nan
-    weights = rng.uniform(0.5, 1.5, (1, side_px, side_px)).astype(np.float32)
-    psf = GaussianPsf(1.0)
-    grid = velocity_grid(np.arange(float(N_FRAMES)), MAX_SPEED_PX, disc=False)
-    data = measure(frames, psf, weights)
-    psi, phi = data.psi[0], data.phi
-    stacks = [VelocityStack(grid, psi.shape[1:], LEAST_PHI, n_threads=n) for n in THREADS]
+        def search(stack: VelocityStack) -> Callable[[], Any]:
+            return lambda: stack.run(psi, phi)
 
-    def search(stack):
-        return lambda: stack.run(psi, phi)
-
-    plain = numpy_stack(psi, phi, grid, LEAST_PHI)
-    for stack in stacks:
-        stack.run(psi, phi)
-    seconds = timed([lambda: measure(frames, psf, weights), *map(search, stacks)], repeats)
-    # NumPy takes as long as all of the others together.
-    [slow] = timed([lambda: numpy_stack(psi, phi, grid, LEAST_PHI)], min(repeats, 3))
-    return {
-        'n_frames': N_FRAMES, 'side_px': side_px, 'n_velocities': grid.n_velocities,
-        'additions': grid.plan.n_additions,
-        'plain_additions': len(grid.axis) * (N_FRAMES - 1),
-        'largest_difference': float(np.abs(plain - stacks[0].best).max()),
-        'psi_and_phi': summary(seconds[0]),
-        'search': {str(n): summary(one) for n, one in zip(THREADS, seconds[1:], strict=True)},
-        'numpy': summary(slow),
-    }
+        plain = numpy_stack(psi, phi, grid, LEAST_PHI)
+        for stack in stacks:
+            stack.run(psi, phi)
+        seconds = timed([lambda: measure(frames, psf, weights), *map(search, stacks)], repeats)
+        # NumPy takes as long as all of the others together.
+        [slow] = timed([lambda: numpy_stack(psi, phi, grid, LEAST_PHI)], min(repeats, 3))
+        return {
+            'n_frames': self.n_frames, 'side_px': self.side_px, 'n_velocities': grid.n_velocities,
+            'additions': grid.plan.n_additions,
+            'plain_additions': len(grid.axis) * (self.n_frames - 1),
+            'largest_difference': float(np.abs(plain - stacks[0].best).max()),
+            'psi_and_phi': summary(seconds[0]),
+            'search': {str(n): summary(one) for n, one in zip(THREADS, seconds[1:], strict=True)},
+            'numpy': summary(slow),
+        }
 
 
 def numpy_stack(psi: NDArray, phi: NDArray, grid: VelocityGrid,
@@ -105,8 +83,7 @@ def numpy_stack(psi: NDArray, phi: NDArray, grid: VelocityGrid,
     return best
 
 
-def velocity_table(measured: Mapping[str, Any]) -> str:
-    """Return the measurements as text."""
+def _lines(measured: Mapping[str, Any]) -> list[str]:
     rows = [('frames', 'velocities', 'psi and phi', '1 thread', 'its CPU', '2 threads', 'NumPy',
              'NumPy/1 thread')]
     for case in measured['cases']:
@@ -116,18 +93,19 @@ def velocity_table(measured: Mapping[str, Any]) -> str:
             str(case['n_velocities']), _ms(case['psi_and_phi']['wall_s']), _ms(alone['wall_s']),
             _ms(alone['cpu_s']), _ms(case['search']['2']['wall_s']), _ms(case['numpy']['cpu_s']),
             f'{case["numpy"]["cpu_s"]["min"] / alone["cpu_s"]["min"]:.1f}'))
-    lines = aligned(rows)
     case = measured['cases'][0]
-    lines += [
+    return [
+        *aligned(rows),
         f'Times in ms, least of {measured["repeats"]} (median in brackets); a variance for each '
         'pixel, 5 % of the pixels masked; NumPy and ratio by CPU time.',
         f'Sums shared between velocities: {case["additions"]} rows added for {case["n_frames"]} '
         f'frames and all v_x, not {case["plain_additions"]}; largest difference to NumPy '
-        f'{case["largest_difference"]:.1g}.',
-        f'{machine_line()}.',
-    ]
-    return '\n'.join(lines)
+        f'{case["largest_difference"]:.1g}.']
 
 
-def _ms(times):
+def _ms(times: Mapping[str, float]) -> str:
     return in_ms(times, 1)
+
+
+BENCH = Bench('velocity_filter', lambda large: {
+    'cases': [Square(side) for side in (SIDES_PX if large else SIDES_PX[:1])]}, _lines)

@@ -64,15 +64,15 @@ class KeptResults:
             yield keep
 
 
-def _code_of(measure):
+def _code_of(measure: Callable) -> str:
     """Return the name of a function and a digest of the code that decides what it returns."""
     digest = hashlib.sha256()
-    for name, source in sorted(_sources_of(measure.__module__).items()):
+    for name, source in sorted(sources_of(measure.__module__).items()):
         digest.update(f'{name}\n'.encode() + source)
     return f'{measure.__module__}.{measure.__qualname__} {digest.hexdigest()[:24]}'
 
 
-def _sources_of(module):
+def sources_of(module: str) -> dict[str, bytes]:
     """Return the sources of a module and of all of this package that it comes to import."""
     sources: dict[str, bytes] = {}
     waiting = [module]
@@ -85,7 +85,7 @@ def _sources_of(module):
     return sources
 
 
-def _source(name):
+def _source(name: str) -> bytes | None:
     """Return the source of a module of this package; None for anything else."""
     package, *parts = name.split('.')
     if package != PACKAGE or not parts:
@@ -94,7 +94,7 @@ def _source(name):
     return file.read_bytes() if file.is_file() else None
 
 
-def _imported(source):
+def _imported(source: bytes) -> Iterator[str]:
     """Yield the names that a source imports, and those of what may be a module in a folder."""
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Import):

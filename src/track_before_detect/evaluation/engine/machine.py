@@ -39,7 +39,7 @@ def machine_line() -> str:
             f'{machine["track_before_detect"]}')
 
 
-def _processor():
+def _processor() -> str:
     """Return the processor's name where the system tells, else its architecture."""
     try:
         for line in Path('/proc/cpuinfo').read_text(encoding='utf-8').splitlines():

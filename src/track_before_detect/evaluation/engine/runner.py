@@ -14,6 +14,7 @@ import json
 from typing import Any
 
 from track_before_detect.errors import MissingExtraError, ParameterError
+from track_before_detect.evaluation.engine.detectors import Options, threshold_of
 from track_before_detect.evaluation.engine.kept_results import KeptResults
 from track_before_detect.parallel import at_most_cores, usable_cores
 from track_before_detect.types import Progress
@@ -47,7 +48,7 @@ class Workers:
     backend: str = LOCAL
     scheduler: str | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.jobs is not None and self.jobs < 1:
             raise ParameterError(f'jobs must be at least 1, got {self.jobs}')
         if self.backend not in BACKENDS:
@@ -98,8 +99,12 @@ class Runner:
     workers: Workers = Workers(jobs=1)
     kept: KeptResults | None = None
 
+    def threshold(self, options: Options, shape: tuple[int, ...]) -> float:
+        """Return the threshold of a detector for batches of ``shape`` (T, H, W)."""
+        return threshold_of(options, shape, self.progress)
+
     def map(self, measure: Measure, items: Sequence[Item], label: str) -> list[dict[str, Any]]:
-        """Return the result of each item.
+        """Return the result of each item, in their order.
 
         Parameters
         ----------
@@ -109,11 +114,6 @@ class Runner:
             What to run; nothing else may decide the result.
         label : str
             What is done, for the progress.
-
-        Returns
-        -------
-        list of dict
-            In the order of the items.
         """
         known = {} if self.kept is None else self.kept.load(measure)
         keys = [as_text(item) for item in items]
@@ -136,7 +136,7 @@ class Runner:
         return [known[key] for key in keys]
 
 
-def _on_cores(cores, call, argument):
+def _on_cores(cores: int, call: Callable[[Any], Any], argument: Any) -> Any:
     with at_most_cores(cores):
         return call(argument)
 
@@ -152,11 +152,11 @@ class _Call:
 
     measure: Measure
 
-    def __call__(self, item):
+    def __call__(self, item: Item) -> tuple[str, str]:
         return as_text(item), json.dumps(self.measure(item))
 
 
-def _joblib(required):
+def _joblib(required: bool) -> Any:
     """Return joblib; None where it is missing and nobody asked for it."""
     try:
         import joblib
@@ -170,7 +170,7 @@ def _joblib(required):
 
 
 @contextmanager
-def _cluster(joblib, backend, scheduler, jobs):
+def _cluster(joblib: Any, backend: str, scheduler: str | None, jobs: int) -> Iterator[int]:
     """Make a backend the one that joblib uses; yields the number of jobs to ask for."""
     with ExitStack() as stack:
         try:

@@ -13,7 +13,6 @@ nothing competes count as one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +22,7 @@ from scipy.optimize import linear_sum_assignment, linprog
 from scipy.sparse.csgraph import connected_components
 
 from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.evaluation.metrics.matching import Paths
 
 # Relative to the gain of one perfect pair in one frame.
 _TOLERANCE = 1e-7
@@ -51,16 +51,14 @@ class TrajectoryGospa:
     switching: float
 
 
-def trajectory_gospa(found: Sequence[NDArray] | NDArray, targets: Sequence[NDArray] | NDArray, *,
-                     cutoff_px: float, switch_px: float, order: float = 2.0) -> TrajectoryGospa:
+def trajectory_gospa(found: Paths, targets: Paths, *, cutoff_px: float, switch_px: float,
+                     order: float = 2.0) -> TrajectoryGospa:
     """Measure how far trajectories are from the targets.
 
     Parameters
     ----------
-    found : sequence of array, shape (T, 2)
-        Positions of each trajectory in pixels; NaN where absent.
-    targets : sequence of array, shape (T, 2)
-        Positions of each target, likewise.
+    found, targets : sequence of array, shape (T, 2)
+        Positions in pixels; NaN where absent.
     cutoff_px : float
         Distance from which two are no pair (c of the reference), above 0.
     switch_px : float
@@ -68,10 +66,6 @@ def trajectory_gospa(found: Sequence[NDArray] | NDArray, targets: Sequence[NDArr
         a target and none.
     order : float
         Its p, at least 1.
-
-    Returns
-    -------
-    TrajectoryGospa
 
     Raises
     ------
@@ -118,7 +112,7 @@ class _Pairs:
     counts: tuple[int, int]
 
     @classmethod
-    def of(cls, estimates, truths, cutoff, order):
+    def of(cls, estimates: NDArray, truths: NDArray, cutoff: float, order: float) -> _Pairs:
         ends: list[tuple[int, int]] = []
         gains: list[NDArray] = []
         if not len(estimates) or not len(truths):
@@ -140,7 +134,7 @@ class _Pairs:
                    (len(estimates), len(truths)))
 
 
-def _stacked(name, trajectories):
+def _stacked(name: str, trajectories: Paths) -> NDArray[np.float64]:
     """Return trajectories as one array (N, T, 2)."""
     arrays = [np.asarray(one, float) for one in trajectories]
     if any(one.ndim != 2 or one.shape != (len(arrays[0]), 2) for one in arrays):
@@ -150,18 +144,18 @@ def _stacked(name, trajectories):
     return np.array(arrays) if arrays else np.zeros((0, 0, 2))
 
 
-def _boxes(positions):
+def _boxes(positions: NDArray) -> NDArray[np.float64]:
     """Return least and largest x and y of trajectories, shape (2, N, 2); empty for absent ones."""
     return np.array([
         np.where(np.isfinite(positions), positions, np.inf).min(axis=1, initial=np.inf),
         np.where(np.isfinite(positions), positions, -np.inf).max(axis=1, initial=-np.inf)])
 
 
-def _present(positions):
+def _present(positions: NDArray) -> NDArray[np.bool_]:
     return np.isfinite(positions).all(axis=2)
 
 
-def _best_weights(pairs, full, half_switch):
+def _best_weights(pairs: _Pairs, full: float, half_switch: float) -> tuple[NDArray, float]:
     """Return how much of each pair holds in each frame, (P, T), and the sum of all changes.
 
     Column generation: ``active`` pairs share programmes with those they compete with; every other
@@ -185,7 +179,7 @@ def _best_weights(pairs, full, half_switch):
         _solve(pairs, _competing(pairs, active, lasting, improving), half_switch, weights, duals)
 
 
-def _lasting_pairs(pairs):
+def _lasting_pairs(pairs: _Pairs) -> NDArray[np.bool_]:
     """Return a mask of the pairs of the best assignment that never changes."""
     total = np.zeros(pairs.counts)
     total[tuple(pairs.ends.T)] = pairs.gains.sum(axis=1)
@@ -194,7 +188,7 @@ def _lasting_pairs(pairs):
     return chosen[tuple(pairs.ends.T)]
 
 
-def _first_duals(pairs, lasting):
+def _first_duals(pairs: _Pairs, lasting: NDArray[np.bool_]) -> list[NDArray]:
     """Return values of trajectories (N, T) and targets (M, T) whose sum is what is gained.
 
     In every frame where the lasting pairs are the best assignment, no other pair gains more than
@@ -206,7 +200,8 @@ def _first_duals(pairs, lasting):
     return [0.5 * (half[0][side] + half[1][1 - side]) for side in (0, 1)]
 
 
-def _outbid(pairs, lasting, ends, side):
+def _outbid(pairs: _Pairs, lasting: NDArray[np.bool_], ends: NDArray,
+            side: int) -> list[NDArray]:
     """Return the least values of the other side, and the most of this one, this one first."""
     n_frames = pairs.gains.shape[1]
     own, other = ends[side], ends[1 - side]
@@ -232,7 +227,7 @@ def _outbid(pairs, lasting, ends, side):
     return values
 
 
-def _best_spell(prices, half_switch):
+def _best_spell(prices: NDArray, half_switch: float) -> NDArray[np.float64]:
     """Return the most that each pair can earn over the frames, shape (P,), at least 0."""
     off, on = np.zeros(len(prices)), prices[:, 0].copy()
     for price in prices.T[1:]:
@@ -241,7 +236,8 @@ def _best_spell(prices, half_switch):
     return np.maximum(off, on)
 
 
-def _competing(pairs, active, lasting, improving):
+def _competing(pairs: _Pairs, active: NDArray[np.bool_], lasting: NDArray[np.bool_],
+               improving: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return the active and lasting pairs that compete with improving ones, however far off."""
     members = np.flatnonzero(active | lasting)
     ends = pairs.ends[members] + [0, pairs.counts[0]]
@@ -251,7 +247,8 @@ def _competing(pairs, active, lasting, improving):
     return members[np.isin(labels, labels[improving[members]])]
 
 
-def _solve(pairs, members, half_switch, weights, duals):
+def _solve(pairs: _Pairs, members: NDArray[np.int64], half_switch: float, weights: NDArray,
+           duals: list[NDArray]) -> None:
     """Solve the programme of some pairs; updates their weights and the duals of their ends.
 
     Variables are the weights, pair by pair and block by block of frames, then how much each rises
@@ -297,7 +294,7 @@ def _solve(pairs, members, half_switch, weights, duals):
         duals[side][pairs.ends[members[one], side], frame] = share[one, frame]
 
 
-def _block_begins(gaining, ends, n_ends):
+def _block_begins(gaining: NDArray[np.bool_], ends: NDArray, n_ends: int) -> NDArray[np.bool_]:
     """Return in which frames a pair begins a block, inside which its weight need not change.
 
     A block is a run of frames in which the pair gains nothing, or in which it gains and no other
@@ -315,7 +312,7 @@ def _block_begins(gaining, ends, n_ends):
     return begins
 
 
-def _row_starts(begins, ends, n_ends):
+def _row_starts(begins: NDArray[np.bool_], ends: NDArray, n_ends: int) -> NDArray[np.bool_]:
     """Return in which frames an end begins a row of the programme, shape (ends, T).
 
     An end has a row for each run of frames in which none of its pairs begins a block.

@@ -8,12 +8,12 @@ where a trajectory or target is absent.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
+
+from track_before_detect.evaluation.metrics.matching import closest_pairs, Paths
 
 # A point within this of a target, on either axis, is the target's (Fu et al., Section 4.1).
 SAME_POINT_PX = 1.0
@@ -49,23 +49,8 @@ class PointCounts:
         return self.false / self.pixels
 
 
-def count_points(found: Sequence[NDArray] | NDArray, targets: Sequence[NDArray] | NDArray,
-                 shape: tuple[int, int, int]) -> PointCounts:
-    """Count detected and false points.
-
-    Parameters
-    ----------
-    found : sequence of array, shape (T, 2)
-        Trajectories.
-    targets : sequence of array, shape (T, 2)
-        Targets.
-    shape : tuple of int
-        (T, H, W) of the frames.
-
-    Returns
-    -------
-    PointCounts
-    """
+def count_points(found: Paths, targets: Paths, shape: tuple[int, int, int]) -> PointCounts:
+    """Count detected and false points in frames of ``shape`` (T, H, W)."""
     estimates = np.asarray(found, float).reshape(-1, shape[0], 2)
     truths = np.asarray(targets, float).reshape(-1, shape[0], 2)
     # A comparison with NaN is false: what is absent is near nothing.
@@ -92,22 +77,12 @@ class TrackErrors:
     squared_errors: NDArray[np.float64]
 
 
-def track_errors(found: Sequence[NDArray] | NDArray, targets: Sequence[NDArray] | NDArray,
-                 ) -> TrackErrors:
+def track_errors(found: Paths, targets: Paths) -> TrackErrors:
     """Compare tracks with targets at the last stage, and valid tracks over all stages.
 
     The paper names the two quantities and gives no formula. Read here: near is within two cells
     on both axes, the nearest ends are paired first to last so that their sum is least, and the
     error is taken to the target's position rounded to cells ("the discretized trajectory").
-
-    Parameters
-    ----------
-    found, targets : sequence of array, shape (T, 2)
-        Tracks and targets.
-
-    Returns
-    -------
-    TrackErrors
     """
     truths = np.asarray(targets, float)
     detected = np.zeros(len(truths), bool)
@@ -115,11 +90,8 @@ def track_errors(found: Sequence[NDArray] | NDArray, targets: Sequence[NDArray] 
     if len(found) and len(truths):
         estimates = np.asarray(found, float)
         apart = np.abs(estimates[:, None, -1] - truths[None, :, -1]).max(axis=2)
-        near = apart <= SAME_END_CELLS
-        price = np.where(near, apart, (min(near.shape) + 1) * SAME_END_CELLS)
-        for track, target in zip(*linear_sum_assignment(price), strict=True):
-            if near[track, target]:
-                detected[target] = True
-                off = np.rint(truths[target]) - estimates[track]
-                errors[target] = np.nanmean((off**2).sum(axis=1))
+        for track, target in closest_pairs(apart, apart <= SAME_END_CELLS, SAME_END_CELLS):
+            detected[target] = True
+            off = np.rint(truths[target]) - estimates[track]
+            errors[target] = np.nanmean((off**2).sum(axis=1))
     return TrackErrors(detected, errors)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,10 +43,6 @@ def roc(of_targets: ArrayLike, of_false: Sequence[ArrayLike]) -> Roc:
         Largest statistic of a trajectory of each target; NaN or -inf for a target without one.
     of_false : sequence of array
         Statistics of the false trajectories of each batch, in any number.
-
-    Returns
-    -------
-    Roc
     """
     targets = np.nan_to_num(np.asarray(of_targets, float), nan=-np.inf)
     batches = [np.asarray(batch, float).ravel() for batch in of_false]
@@ -57,18 +53,15 @@ def roc(of_targets: ArrayLike, of_false: Sequence[ArrayLike]) -> Roc:
     false = np.concatenate(batches)
     largest = np.array([batch.max(initial=-np.inf) for batch in batches])
     thresholds = np.unique(np.concatenate([targets[np.isfinite(targets)], false]))[::-1]
-    detected, alarms, alarmed = (
-        len(values) - np.searchsorted(np.sort(values), thresholds)
-        for values in (targets, false, largest))
-    return Roc(
-        thresholds,
-        _with_intervals(detected, lambda n: (n / len(targets),
-                                             *wilson_interval(n, len(targets)))),
-        _with_intervals(alarms, lambda n: (n / len(batches),
-                                           *poisson_interval(n, len(batches)))),
-        _with_intervals(alarmed, lambda n: (n / len(batches),
-                                            *wilson_interval(n, len(batches)))))
 
+    def rate(statistics: NDArray, trials: int,
+             interval: Callable[[int, int], tuple[float, float]]) -> NDArray[np.float64]:
+        """Return how many reach each threshold, per trial, with its interval."""
+        counts = len(statistics) - np.searchsorted(np.sort(statistics), thresholds)
+        ends = {count: interval(count, trials) for count in set(counts.tolist())}
+        return np.array([(count / trials, *ends[count]) for count in counts.tolist()]
+                        ).reshape(-1, 3)
 
-def _with_intervals(counts, estimate):
-    return np.array([estimate(int(count)) for count in counts]).reshape(-1, 3)
+    return Roc(thresholds, rate(targets, len(targets), wilson_interval),
+               rate(false, len(batches), poisson_interval),
+               rate(largest, len(batches), wilson_interval))

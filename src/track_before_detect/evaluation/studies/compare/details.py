@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from track_before_detect.evaluation.engine.report import markdown_table
+from track_before_detect.evaluation.engine.tables import markdown_table
 from track_before_detect.evaluation.metrics.roc import Roc
 
 # Share of targets by which ours may be behind, and for the rounding of differences.
@@ -70,7 +70,7 @@ def reasons(standings: Sequence[Standing]) -> str:
     return '\n'.join(lines)
 
 
-def _reason(one):
+def _reason(one: Standing) -> str:
     """Say what the other method is told or spared, and what the variants of ours show of it."""
     if one.ours == 'convex, partial':
         whole, free = (100 * one.found[name] for name in ('convex', one.ours))

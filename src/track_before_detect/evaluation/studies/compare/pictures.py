@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.evaluation.engine.pictures import GREY, tidy
 from track_before_detect.evaluation.metrics.roc import Roc
-from track_before_detect.evaluation.studies.compare.runs import SCENES
+from track_before_detect.evaluation.studies.compare.scenes import SCENES
 
 
 def draw_found(figure: Any, means: NDArray, snrs: Sequence[float], names: Sequence[str],
@@ -93,13 +94,12 @@ def draw_roc(figure: Any, curves: Mapping[str, Roc], rate: float, ours: str) -> 
         if alone:
             axes.fill_between(alarmed, *(100 * curve.detection_probability[:, 1:].T), step='post',
                               color='black', alpha=0.12, linewidth=0)
-    axes.axvline(100 * rate, color='#8c8c8c', linewidth=0.8, linestyle=':')
+    axes.axvline(100 * rate, color=GREY, linewidth=0.8, linestyle=':')
     axes.set_xscale('log')
     axes.xaxis.set_major_formatter('{x:g}')
     axes.set_xlim(lowest, 100)
     axes.set_ylim(0, 100)
     axes.set_xlabel('noise batches with a trajectory [%]')
     axes.set_ylabel('targets found [%]')
-    axes.grid(alpha=0.25)
-    axes.spines[['top', 'right']].set_visible(False)
+    tidy([axes])
     figure.legend(loc='outside right upper', frameon=False, fontsize='small')

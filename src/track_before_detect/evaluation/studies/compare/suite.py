@@ -2,35 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+import functools
 import itertools
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.evaluation.engine.report import (
-    markdown_table,
-    Quantity,
-    share,
-    SuiteResult,
-)
+from track_before_detect.evaluation.engine.detectors import detector_of
+from track_before_detect.evaluation.engine.quantities import mean, mean_of, Quantity, share
 from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
+from track_before_detect.evaluation.engine.seeds import items_of
+from track_before_detect.evaluation.engine.suite import Suite, SuiteResult
+from track_before_detect.evaluation.engine.tables import markdown_table
 from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
-from track_before_detect.evaluation.metrics.roc import roc
-from track_before_detect.evaluation.studies.compare import (
-    details as compare_details,
+from track_before_detect.evaluation.metrics.roc import Roc, roc
+from track_before_detect.evaluation.studies.compare import pictures
+from track_before_detect.evaluation.studies.compare import runs as compare_runs
+from track_before_detect.evaluation.studies.compare.details import reasons, roc_table, Standing
+from track_before_detect.evaluation.studies.compare.runs import CUTOFF_PX, FOUND_PX, SWITCH_PX
+from track_before_detect.evaluation.studies.compare.scenes import (
+    n_targets,
+    PRESENT,
+    SCENES,
+    shape_of,
+    SIX,
 )
-from track_before_detect.evaluation.studies.compare import (
-    pictures as compare_pictures,
-)
-from track_before_detect.evaluation.studies.compare import (
-    runs as compare_runs,
-)
-from track_before_detect.evaluation.studies.compare.details import Standing
-from track_before_detect.evaluation.studies.compare.runs import SCENES
-from track_before_detect.options import DetectorOptions, DETECTORS
-from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+from track_before_detect.options import DETECTORS
 
 SNRS = (1.5, 2.0, 3.0)
 RATE = 0.05
@@ -49,36 +49,39 @@ PARTIAL_SCENES = ('enters', 'leaves')
 ROC_SCENE, ROC_SNR, ROC_RATE = 'line', 1.5, 0.5
 NOISES = ('noise', 'noise six')
 
+Methods = Mapping[str, Mapping[str, Any]]
+
 
 def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
-    """Search all scenes by all detectors; arguments as of every suite."""
-    checked_runs(runs, seed)
+    """Search all scenes by all detectors."""
     wanted, refused = _methods()
+    names = list(wanted)
     by_noise = {noise: _with_thresholds(wanted, noise, RATE, runner) for noise in NOISES}
 
-    def items_of(scene, snr, count):
-        methods = by_noise[NOISES[compare_runs.shape_of(scene) == compare_runs.SIX]]
-        return [{'scene': scene, 'snr': snr, 'methods': methods, 'seed': one}
-                for one in seeds_of(seed, f'compare {scene} {snr:g}', count)]
+    def items(scene: str, snr: float, count: int) -> list[dict[str, Any]]:
+        methods = by_noise[NOISES[shape_of(scene) == SIX]]
+        return items_of(seed, f'compare {scene} {snr:g}', count, scene=scene, snr=snr,
+                        methods=methods)
 
-    items = [item for scene in SCENES for snr in SNRS for item in items_of(scene, snr, runs)]
-    results = runner.map(compare_runs.search, items, 'searching scenes')
-    noise_items = [item for noise in NOISES for item in items_of(noise, 0.0, 2 * runs)]
+    scene_items = [item for scene in SCENES for snr in SNRS for item in items(scene, snr, runs)]
+    noise_items = [item for noise in NOISES for item in items(noise, 0.0, 2 * runs)]
+    results = runner.map(compare_runs.search, scene_items, 'searching scenes')
     noise = runner.map(compare_runs.search, noise_items, 'searching noise')
-    names = list(wanted)
     curves = _rocs(wanted, runs, seed, runner)
 
-    def gathered(key):
+    def gathered(key: str) -> NDArray[np.float64]:
+        """Return a result by scene, SNR, run and method."""
         return np.array([[result[name][key] for name in names] for result in results],
                         float).reshape(len(SCENES), len(SNRS), runs, len(names))
 
-    targets = np.array([compare_runs.n_targets(scene) for scene in SCENES])
-    found = gathered('found') / targets[:, None, None, None]
+    targets = np.array([n_targets(scene) for scene in SCENES])[:, None, None]
+    found = gathered('found') / targets[..., None]
     alarms = np.array([[result[name]['false'] for name in names] for result in noise]).reshape(
         len(NOISES), 2 * runs, len(names))
     rows = [{'scene': item['scene'], 'snr': item['snr'], 'seed': item['seed'], 'method': name,
              **result[name]}
-            for item, result in zip(items + noise_items, results + noise, strict=True)
+            for item, result in zip(scene_items + noise_items, results + noise,
+                                    strict=True)
             for name in names]
     leaders = _leaders(found, names)
     standings = _standings(found, names)
@@ -94,44 +97,44 @@ def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
         'Lines and arcs (20 px radius) at 0.2 to 1 px/frame, two parallel targets 5 px apart, '
         'two that cross at right angles, the three of Fu et al. 2022, Figure 7, '
         f'frames 20 to 39, and a line that is there in the last or first '
-        f'{compare_runs.PRESENT} frames. Thresholds for {100 * RATE:g} % of noise batches with a '
+        f'{PRESENT} frames. Thresholds for {100 * RATE:g} % of noise batches with a '
         'trajectory, each calibrated by its own method. A target is found by a trajectory less '
-        f'than {compare_runs.FOUND_PX:g} px from it on average that is there in at least half of '
+        f'than {FOUND_PX:g} px from it on average that is there in at least half of '
         'its frames; each counts once. Intervals: bootstrap over batches, which all methods '
         'saw; Wilson for noise.' + (f' Not compared: {"; ".join(refused)}.' if refused else ''),
         rows, _quantities(found, names, leaders, standings, alarms),
-        {'runs': runs, 'seed': seed, 'snrs': SNRS, 'methods': by_noise},
-        lambda figure: compare_pictures.draw_found(figure, found.mean(axis=2), SNRS, names, RATE),
-        {'scenes': compare_pictures.draw_scenes,
-         'roc': lambda figure: compare_pictures.draw_roc(figure, curves, RATE, OURS)},
-        '\n\n'.join([compare_details.reasons(standings),
-                     _details(gathered, found, targets, names, leaders),
-                     compare_details.roc_table(
-                         curves, f'{ROC_SCENE}, SNR {ROC_SNR:g}, as the threshold varies')]))
+        {'snrs': SNRS, 'methods': by_noise},
+        functools.partial(pictures.draw_found, means=found.mean(axis=2), snrs=SNRS, names=names,
+                          rate=RATE),
+        {'scenes': pictures.draw_scenes,
+         'roc': functools.partial(pictures.draw_roc, curves=curves, rate=RATE, ours=OURS)},
+        '\n\n'.join([
+            reasons(standings), _details(gathered, found, targets, names, leaders),
+            roc_table(curves, f'{ROC_SCENE}, SNR {ROC_SNR:g}, as the threshold varies')]))
 
 
-def _rocs(wanted, runs, seed, runner):
+def _rocs(wanted: Methods, runs: int, seed: int, runner: Runner) -> dict[str, Roc]:
     """Return the curve of each method in one scene, whose trajectories may be weak."""
     methods = _with_thresholds(wanted, NOISES[0], ROC_RATE, runner)
 
-    def searched(scene, snr, count):
-        return runner.map(compare_runs.statistics, [
-            {'scene': scene, 'snr': snr, 'methods': methods, 'seed': one}
-            for one in seeds_of(seed, f'roc {scene} {snr:g}', count)], 'varying the threshold')
+    def searched(scene: str, snr: float, count: int) -> list[dict[str, Any]]:
+        return runner.map(compare_runs.statistics, items_of(
+            seed, f'roc {scene} {snr:g}', count, scene=scene, snr=snr, methods=methods),
+            'varying the threshold')
 
     of_targets, of_noise = searched(ROC_SCENE, ROC_SNR, runs), searched(NOISES[0], 0.0, 2 * runs)
     return {name: roc([max(one[name]['right'], default=np.nan) for one in of_targets],
                       [one[name]['false'] for one in of_noise]) for name in methods}
 
 
-def _methods():
+def _methods() -> tuple[dict[str, dict[str, str]], list[str]]:
     """Return the options of each method, and what is not compared and why."""
     wanted: dict[str, dict[str, str]] = {}
     refused = []
     for name in DETECTORS:
         options = {'detector': name, 'amplitude_model': 'constant'}
         try:
-            DETECTOR_CLASSES[name](DetectorOptions.from_mapping(options))
+            detector_of(options)
         except ParameterError as error:
             refused.append(f'{name} ({error})')
             continue
@@ -141,16 +144,12 @@ def _methods():
     return wanted, refused
 
 
-def _with_thresholds(wanted, noise, rate, runner):
+def _with_thresholds(wanted: Methods, noise: str, rate: float,
+                     runner: Runner) -> dict[str, dict[str, Any]]:
     """Return options with the threshold for batches of the size of a scene of noise."""
-    n_frames, height, width = compare_runs.shape_of(noise)
-    made = {}
-    for name, options in wanted.items():
-        detector = DETECTOR_CLASSES[options['detector']](
-            DetectorOptions.from_mapping({**options, 'false_alarm_rate': rate}))
-        made[name] = {**options, 'threshold': detector.threshold(
-            np.arange(float(n_frames)), (height, width), runner.progress)}
-    return made
+    return {name: {**options, 'threshold': runner.threshold(
+        {**options, 'false_alarm_rate': rate}, shape_of(noise))}
+        for name, options in wanted.items()}
 
 
 def ours_in(scene: str) -> str:
@@ -158,7 +157,7 @@ def ours_in(scene: str) -> str:
     return PARTIAL if scene in PARTIAL_SCENES else OURS
 
 
-def _leaders(found, names) -> NDArray[np.int64]:
+def _leaders(found: NDArray, names: Sequence[str]) -> NDArray[np.int64]:
     """Return which method finds most by scene and SNR, of equal ones ours."""
     means = found.mean(axis=2)
     for number, scene in enumerate(SCENES):
@@ -166,7 +165,7 @@ def _leaders(found, names) -> NDArray[np.int64]:
     return np.argmax(means, axis=2)
 
 
-def _standings(found, names):
+def _standings(found: NDArray, names: Sequence[str]) -> list[Standing]:
     """Compare ours with the best other method, by scene and SNR."""
     others = [number for number, name in enumerate(names) if name not in (OURS, *VARIANTS)]
     standings = []
@@ -177,27 +176,26 @@ def _standings(found, names):
         gain = by_run[:, names.index(ours_in(label))] - by_run[:, rival]
         standings.append(Standing(
             label, snr, ours_in(label), names[rival], float(gain.mean()),
-            *bootstrap_interval(gain, lambda drawn: float(drawn.mean())),
+            *bootstrap_interval(gain, mean_of),
             dict(zip(names, means.tolist(), strict=True))))
     return standings
 
 
-def _quantities(found, names, leaders, standings, alarms):
+def _quantities(found: NDArray, names: Sequence[str], leaders: NDArray,
+                standings: Sequence[Standing], alarms: NDArray) -> list[Quantity]:
     quantities = []
     points = itertools.product(range(len(SCENES)), range(len(SNRS)))
     for (scene, point), standing in zip(points, standings, strict=True):
         by_run, leader = found[scene, point], leaders[scene, point]
         at = f'{standing.scene}, SNR {standing.snr:g}'
-        quantities.append(Quantity(
-            f'{at}: best method', float(by_run[:, leader].mean()),
-            *bootstrap_interval(by_run[:, leader], lambda drawn: float(drawn.mean())),
-            len(by_run), 'batches', '%', '; '.join(_equal_to(leader, by_run, names))))
+        quantities.append(mean(f'{at}: best method', by_run[:, leader], 'batches', '%',
+                               '; '.join(_equal_to(leader, by_run, names))))
         quantities.append(Quantity(
             f'{at}: {standing.ours} minus the best other', standing.gain, standing.low,
             standing.high, len(by_run), 'batches', '%',
             f'best other: {standing.rival}; {standing.verdict}'))
     for number, noise in enumerate(NOISES):
-        shape = ' x '.join(map(str, compare_runs.shape_of(noise)))
+        shape = ' x '.join(map(str, shape_of(noise)))
         for method, name in enumerate(names):
             hit = alarms[number, :, method] > 0
             quantities.append(share(f'noise of {shape} with a trajectory: {name}',
@@ -206,15 +204,15 @@ def _quantities(found, names, leaders, standings, alarms):
     return quantities
 
 
-def _equal_to(leader, by_run, names):
+def _equal_to(leader: int, by_run: NDArray, names: Sequence[str]) -> list[str]:
     """Return the best method, and those that find no less."""
     means = by_run.mean(axis=0)
     return [names[leader], *(name for number, name in enumerate(names)
                              if number != leader and means[number] >= means[leader])]
 
 
-def _details(gathered, found, targets, names, leaders):
-    n_targets = targets[:, None, None]
+def _details(gathered: Callable[[str], NDArray], found: NDArray, targets: NDArray,
+             names: Sequence[str], leaders: NDArray) -> str:
     false = gathered('false').mean(axis=2)
     n_tracks = (gathered('found') + gathered('false')).mean(axis=2)
     purity = np.divide(gathered('purity').mean(axis=2), n_tracks,
@@ -222,13 +220,13 @@ def _details(gathered, found, targets, names, leaders):
     lines: list[str] = []
     for title, means, digits in (
             ('Targets found in per cent; the best in bold', 100 * found.mean(axis=2), 0),
-            (f'GOSPA in pixels per batch (order 2, cutoff {compare_runs.CUTOFF_PX:g} px, change '
-             f'of identity {compare_runs.SWITCH_PX:g} px), mean',
+            (f'GOSPA in pixels per batch (order 2, cutoff {CUTOFF_PX:g} px, change '
+             f'of identity {SWITCH_PX:g} px), mean',
              gathered('gospa').mean(axis=2), 1),
             ('False trajectories per batch with targets', false, 2),
-            (f'Completeness of targets in per cent: frames within {compare_runs.FOUND_PX:g} px of '
+            (f'Completeness of targets in per cent: frames within {FOUND_PX:g} px of '
              'the one trajectory that has most of them',
-             100 * gathered('completeness').mean(axis=2) / n_targets, 0),
+             100 * gathered('completeness').mean(axis=2) / targets, 0),
             ('Purity of trajectories in per cent: frames near the one target that has most of '
              'them', 100 * purity, 0)):
         rows = []
@@ -242,3 +240,8 @@ def _details(gathered, found, targets, names, leaders):
                 rows.append((label, f'{snr:g}', *cells))
         lines += [f'## {title}', '', *markdown_table(('scene', 'SNR', *names), rows), '']
     return '\n'.join(lines).rstrip()
+
+
+SUITE = Suite(
+    'Every detector on eight scenes at SNR 1.5 to 3 (N batches each) at equal false alarms: '
+    'the best per scene, targets found, false trajectories, GOSPA.', run_compare)

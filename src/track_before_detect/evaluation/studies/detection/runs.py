@@ -103,7 +103,7 @@ def rmse_of(distances: NDArray) -> float:
 
 
 @functools.lru_cache(maxsize=4)
-def _warm_pipeline(name, overrides, threshold):
+def _warm_pipeline(name: str, overrides: str, threshold: float) -> TrackingPipeline:
     """Return a pipeline that has compiled and searched a batch of this size."""
     made = simulate(name, 0, **json.loads(overrides))
     pipeline = TrackingPipeline(options_for(made.scenario).replace(threshold=threshold))

@@ -6,16 +6,15 @@ import dataclasses
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.evaluation.engine.report import Quantity, SuiteResult
+from track_before_detect.evaluation.engine.pictures import BLUE, GREY, tidy
+from track_before_detect.evaluation.engine.quantities import estimate, Quantity, share
 from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.engine.runs import checked_runs, run_seeds
-from track_before_detect.evaluation.metrics.confidence import (
-    bootstrap_interval,
-    poisson_interval,
-    wilson_interval,
-)
+from track_before_detect.evaluation.engine.seeds import run_seeds
+from track_before_detect.evaluation.engine.suite import Suite, SuiteResult
+from track_before_detect.evaluation.metrics.confidence import bootstrap_interval, poisson_interval
 from track_before_detect.evaluation.studies.detection.runs import (
     FOUND_PX,
     measure,
@@ -28,28 +27,17 @@ from track_before_detect.evaluation.studies.detection.runs import (
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.tracking.pipeline import TrackingPipeline
 
-_TARGET_COLOUR, _NOISE_COLOUR = '#1f77b4', '#8c8c8c'
-
 
 def run_detection(runs: int, seed: int, runner: Runner, **overrides: Any) -> SuiteResult:
-    """Search simulated batches with known targets, and batches of noise.
+    """Search simulated batches with known targets, and twice as many batches of noise.
 
     Parameters
     ----------
-    runs : int
-        Batches with targets; twice as many hold noise alone.
-    seed : int
-        Every batch gets a seed of its own from this one.
-    runner : Runner
-        Carries out the runs.
+    runs, seed, runner
+        As of :meth:`Suite.run`.
     **overrides
         Parameters of the scenarios to change.
-
-    Returns
-    -------
-    SuiteResult
     """
-    checked_runs(runs, seed)
     for_targets, for_noise = np.random.SeedSequence(seed).spawn(2)
     scenario = simulate(TARGETS, 0, **overrides).scenario
     if scenario.n_targets < 1:
@@ -60,7 +48,8 @@ def run_detection(runs: int, seed: int, runner: Runner, **overrides: Any) -> Sui
     # Noise has the targets' frames, not their number.
     of_noise = {key: value for key, value in overrides.items() if key != 'n_targets'}
 
-    def measured(name, sequence, count, changes, label):
+    def measured(name: str, sequence: np.random.SeedSequence, count: int,
+                 changes: dict[str, Any], label: str) -> list[Run]:
         items = [{'scenario': name, 'seed': one, 'overrides': changes, 'threshold': threshold}
                  for one in run_seeds(sequence, count)]
         return [Run.read(result) for result in runner.map(measure, items, label)]
@@ -78,54 +67,55 @@ def run_detection(runs: int, seed: int, runner: Runner, **overrides: Any) -> Sui
         'counts, bootstrap over runs for errors and times. CPU time is summed over all threads.',
         [run.row() for run in with_targets + noise],
         _quantities(with_targets, noise, options.false_alarm_rate),
-        {'runs': runs, 'seed': seed, 'found_px': FOUND_PX,
-         'scenario': dataclasses.asdict(scenario), 'options': dataclasses.asdict(options)},
+        {'found_px': FOUND_PX, 'scenario': dataclasses.asdict(scenario),
+         'options': dataclasses.asdict(options)},
         lambda figure: _draw(figure, with_targets, noise))
 
 
-def _quantities(with_targets, noise, requested):
+def _quantities(with_targets: list[Run], noise: list[Run], requested: float) -> list[Quantity]:
     """Return the lines of the report."""
     n_targets = sum(run.n_targets for run in with_targets)
     n_found = sum(run.n_found for run in with_targets)
     n_false = sum(run.n_false for run in with_targets)
-    n_alarms = sum(run.n_false > 0 for run in noise)
     n_runs = len(with_targets)
-    found_runs = [run for run in with_targets if run.n_found]
-    rmse = rmse_of(np.concatenate([run.distances.ravel() for run in with_targets]))
-    rmse_ends = (float('nan'), float('nan'))
-    if found_runs:
-        sums = np.array([(np.nansum(run.distances**2), np.isfinite(run.distances).sum())
-                         for run in found_runs])
-        rmse_ends = bootstrap_interval(
-            sums, lambda drawn: float(np.sqrt(drawn[:, 0].sum() / drawn[:, 1].sum())))
+    sums = np.array([(np.nansum(run.distances**2), np.isfinite(run.distances).sum())
+                     for run in with_targets if run.n_found])
     quantities = [
-        Quantity('targets found', n_found / n_targets, *wilson_interval(n_found, n_targets),
-                 n_targets, 'targets', '%'),
+        share('targets found', n_found, n_targets, 'targets'),
         Quantity('false trajectories per batch with targets', n_false / n_runs,
                  *poisson_interval(n_false, n_runs), n_runs, 'batches'),
-        Quantity('position RMSE of found targets', rmse, *rmse_ends, n_found, 'targets', 'px'),
-        Quantity('noise batches with a trajectory', n_alarms / len(noise),
-                 *wilson_interval(n_alarms, len(noise)), len(noise), 'batches', '%',
-                 f'requested: {100 * requested:g} %'),
+        Quantity('position RMSE of found targets',
+                 rmse_of(np.concatenate([run.distances.ravel() for run in with_targets])),
+                 *(bootstrap_interval(sums, _root_of_means) if len(sums) else (np.nan, np.nan)),
+                 n_found, 'targets', 'px'),
+        share('noise batches with a trajectory', _alarms(noise), len(noise), 'batches',
+              f'requested: {100 * requested:g} %'),
     ]
     for label, group, clock in (
             ('CPU time of a warm batch with targets, median', with_targets, 'cpu_s'),
             ('CPU time of a warm batch of noise, median', noise, 'cpu_s'),
             ('wall time of a warm batch with targets, median', with_targets, 'wall_s')):
-        seconds = np.array([getattr(run, clock) for run in group])
-        quantities.append(Quantity(
-            label, float(np.median(seconds)),
-            *bootstrap_interval(seconds, lambda drawn: float(np.median(drawn))), len(group),
-            'batches', 's'))
+        quantities.append(estimate(
+            label, [getattr(run, clock) for run in group],
+            lambda drawn: float(np.median(drawn)), 'batches', 's'))
     return quantities
 
 
-def _draw(figure, with_targets, noise):
+def _root_of_means(sums: NDArray) -> float:
+    """Return the root of the mean square from sums of squares and their counts, (N, 2)."""
+    return float(np.sqrt(sums[:, 0].sum() / sums[:, 1].sum()))
+
+
+def _alarms(noise: list[Run]) -> int:
+    return sum(run.n_false > 0 for run in noise)
+
+
+def _draw(figure: Any, with_targets: list[Run], noise: list[Run]) -> None:
     """Draw the position errors, and the statistic of targets and noise."""
     errors, statistics = figure.subplots(1, 2)
     mean_errors = np.concatenate(
         [np.nanmean(run.distances, axis=1) for run in with_targets if run.n_found] or [[]])
-    errors.hist(mean_errors, np.linspace(0, FOUND_PX, 31), color=_TARGET_COLOUR)
+    errors.hist(mean_errors, np.linspace(0, FOUND_PX, 31), color=BLUE)
     errors.set_xlabel('mean position error of a found target [px]')
     errors.set_ylabel('targets')
     n_targets = sum(run.n_targets for run in with_targets)
@@ -135,18 +125,22 @@ def _draw(figure, with_targets, noise):
     of_noise = np.array([run.largest_statistic for run in noise])
     both = np.concatenate([of_targets, of_noise])
     bins = np.linspace(both.min(), both.max(), 41)
-    statistics.hist(of_noise, bins, color=_NOISE_COLOUR, density=True, alpha=0.8,
+    statistics.hist(of_noise, bins, color=GREY, density=True, alpha=0.8,
                     label='largest in a batch of noise')
     if len(of_targets):
-        statistics.hist(of_targets, bins, color=_TARGET_COLOUR, density=True, alpha=0.8,
+        statistics.hist(of_targets, bins, color=BLUE, density=True, alpha=0.8,
                         label='found targets')
     threshold = noise[0].threshold
     statistics.axvline(threshold, color='black', linewidth=1.2,
                        label=f'threshold {threshold:.2f}')
     statistics.set_xlabel('statistic of a trajectory')
     statistics.set_ylabel('density')
-    n_alarms = sum(run.n_false > 0 for run in noise)
-    statistics.set_title(f'{n_alarms} of {len(noise)} batches of noise pass the threshold')
+    statistics.set_title(f'{_alarms(noise)} of {len(noise)} batches of noise pass the threshold')
     statistics.legend()
-    for axes in (errors, statistics):
-        axes.spines[['top', 'right']].set_visible(False)
+    tidy((errors, statistics), grid=False)
+
+
+SUITE = Suite(
+    'The convex detector on three targets at SNR 3 (N runs) and on noise alone (2 N runs): '
+    'targets found, false trajectories, accuracy, time, realised false alarm rate.',
+    run_detection)

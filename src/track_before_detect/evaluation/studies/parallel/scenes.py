@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,7 @@ SIX_STATES = (
     (30.1, 1.0, 10.8, 0.0), (30.1, 1.0, 8.2, 0.0), (35.1, -0.9, 35.8, 1.0),
 )
 # Options of the detectors mt_dp and pc_dp for these scenes: a PSF this narrow is one cell.
-OPTIONS = {'psf_sigma_px': 0.3, 'max_speed_px_s': 1.0, 'amplitudes': 'complex'}
+OPTIONS: dict[str, Any] = {'psf_sigma_px': 0.3, 'max_speed_px_s': 1.0, 'amplitudes': 'complex'}
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def draw_scene(states: Sequence[Sequence[float]], snr_db: float, rng: np.random.
         q_1 of the process noise.
     """
     frames = noise_frames(rng, (N_FRAMES, *shape), True)
-    positions = _move(np.array(states, float), rng, intensity)
+    positions = moved(np.array(states, float), rng, intensity)
     cells = np.rint(positions).astype(int)
     amplitude = 10**(snr_db / 20)
     phases = rng.uniform(0, 2 * np.pi, cells.shape[:2])
@@ -104,7 +105,8 @@ def draw_scene(states: Sequence[Sequence[float]], snr_db: float, rng: np.random.
     return ParallelScene(frames, positions, cells)
 
 
-def _move(states, rng, intensity):
+def moved(states: NDArray, rng: np.random.Generator,
+          intensity: float) -> NDArray[np.float64]:
     """Return the positions (N, T, 2) of targets of nearly constant velocity (Eq. 2-4)."""
     state = states.reshape(len(states), 2, 2).copy()
     step = np.array([[1.0, 1.0], [0.0, 1.0]])

@@ -2,93 +2,81 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.studies.patent.scenes import (
+from track_before_detect.evaluation.engine.pictures import (
+    BLUE,
+    GREEN,
+    GREY,
+    legend_above,
+    RED,
+    tidy,
+)
+from track_before_detect.evaluation.engine.quantities import Quantity
+from track_before_detect.evaluation.studies.patent.figures import (
     COMBINATORIAL,
     CONTINUATION,
     CONVEX,
     Figure,
     GREEDY,
-    Scene,
 )
+from track_before_detect.evaluation.studies.patent.scenes import Scene
 from track_before_detect.models.measurement.psf import GaussianPsf
 
-COLOURS = {CONVEX: '#8c8c8c', CONTINUATION: '#1f77b4', COMBINATORIAL: '#2ca02c',
-           GREEDY: '#d62728'}
+COLOURS = {CONVEX: GREY, CONTINUATION: BLUE, COMBINATORIAL: GREEN, GREEDY: RED}
 _TRUTH_COLOUR, _SIGNAL_COLOUR = 'black', '#4d4d4d'
 # What is shown beside the targets of a batch.
 _MARGIN_PX = 20.0
 _TRUTH_STYLE = {'color': 'white', 'linewidth': 1.0, 'linestyle': '--'}
 
+# Positions (K, T) and amplitudes (K, T) by method.
 Found = Mapping[str, tuple[NDArray, NDArray]]
 
 
-def draw_figure(figure: Figure, scene: Scene, found: Found, threshold: float,
-                canvas: Any) -> None:
-    """Draw panels A-F of one figure.
-
-    Parameters
-    ----------
-    figure : Figure
-        Which one.
-    scene : Scene
-        What was searched.
-    found : mapping
-        Positions (K, T) and amplitudes (K, T) by method.
-    threshold : float
-        On the statistic.
-    canvas : matplotlib Figure
-    """
+def draw_figure(canvas: Any, figure: Figure, scene: Scene, found: Found,
+                threshold: float) -> None:
+    """Draw panels A-F of one figure: a scene, and what was found in it."""
     canvas.set_size_inches(12, 6.5)
     canvas.suptitle(f'Figure {figure.number}: {figure.title}')
     psf = GaussianPsf(figure.options['psf_sigma_px'])
     panels = canvas.subplots(2, 3, sharex=True).ravel()
-    if len(scene.measured) == 1:
-        _draw_frame(panels, scene, found, threshold, _matched_filter(scene.measured[:, 0], psf))
-    else:
-        _draw_batch(panels, scene, found, threshold, _matched_filter(scene.measured[:, 0], psf))
+    draw = _draw_frame if len(scene.measured) == 1 else _draw_batch
+    draw(panels, scene, found, threshold, _matched_filter(scene.measured[:, 0], psf))
 
 
-def draw_shares(bars: Sequence[tuple[str, Mapping[str, tuple[float, float, float]]]],
-                canvas: Any) -> None:
-    """Draw share and interval of each criterion and method.
-
-    Parameters
-    ----------
-    bars : sequence
-        Label, and share, low and high end by method.
-    canvas : matplotlib Figure
-    """
-    canvas.set_size_inches(10, 1.5 + 0.42 * len(bars))
+def draw_shares(canvas: Any, shares: Mapping[str, Mapping[str, Quantity]]) -> None:
+    """Draw share and interval by criterion and method."""
+    canvas.set_size_inches(10, 1.5 + 0.42 * len(shares))
     axes = canvas.subplots()
-    methods = list(bars[0][1])
+    methods = list(next(iter(shares.values())))
     for number, method in enumerate(methods):
-        at = np.arange(len(bars)) + 0.2 * (number - 0.5 * (len(methods) - 1))
-        share, low, high = (100 * np.array([shares[method] for _, shares in bars])).T
+        at = np.arange(len(shares)) + 0.2 * (number - 0.5 * (len(methods) - 1))
+        share, low, high = (100 * np.array([
+            (one[method].value, one[method].low, one[method].high) for one in shares.values()])).T
         axes.barh(at, share, 0.18, color=COLOURS[method], label=method)
         axes.errorbar(share, at, xerr=[np.maximum(share - low, 0), np.maximum(high - share, 0)],
                       fmt='none', ecolor='black', elinewidth=0.8)
-    axes.set_yticks(np.arange(len(bars)), [label for label, _ in bars])
-    axes.set_ylim(len(bars) - 0.5, -0.5)
+    axes.set_yticks(np.arange(len(shares)), list(shares))
+    axes.set_ylim(len(shares) - 0.5, -0.5)
     axes.set_xlim(0, 100)
     axes.set_xlabel('share of scenes [%], with 95 % intervals')
-    axes.spines[['top', 'right']].set_visible(False)
-    canvas.legend(loc='outside upper center', ncols=len(methods), frameon=False)
+    tidy([axes], grid=False)
+    legend_above(canvas, len(methods))
 
 
-def _matched_filter(frames, psf):
+def _matched_filter(frames: NDArray, psf: GaussianPsf) -> NDArray[np.float64]:
     """Return the matched filter statistic on the pixels, shape (T, W)."""
     taps = psf.taps(0.0)
     norm = np.sqrt(np.convolve(np.ones(frames.shape[1]), taps**2, 'same'))
     return np.array([np.convolve(frame, taps, 'same') for frame in frames]) / norm
 
 
-def _draw_frame(panels, scene, found, threshold, statistic):
+def _draw_frame(panels: NDArray, scene: Scene, found: Found, threshold: float,
+                statistic: NDArray) -> None:
     """Draw one frame: strength over position."""
     positions = scene.positions[:, 0]
     curves = ((scene.received[0], 'B  received'), (scene.measured[0, 0], 'C  measured'),
@@ -116,32 +104,34 @@ def _draw_frame(panels, scene, found, threshold, statistic):
         axes.set_ylabel('amplitude')
         _leave_room(axes)
         axes.legend(loc='upper right', fontsize='small')
-    for axes in panels:
-        axes.spines[['top', 'right']].set_visible(False)
+    tidy(panels, grid=False)
     for axes in panels[3:]:
         axes.set_xlabel('position [px]')
 
 
-def _leave_room(axes):
+def _leave_room(axes: Any) -> None:
     """Make room for a legend above the curves."""
     low, high = axes.get_ylim()
     axes.set_ylim(low, high + 0.4 * (high - low))
 
 
-def _stems(axes, at, heights, colour, marker='o', label=None, linewidth=1.5):
+def _stems(axes: Any, at: NDArray, heights: NDArray, colour: str, marker: str = 'o',
+           label: str | None = None, linewidth: float = 1.5) -> None:
     axes.vlines(at, 0, heights, color=colour, linewidth=linewidth,
                 label=label if not marker else None)
     if marker:
         axes.plot(at, heights, marker, color=colour, label=label)
 
 
-def _draw_batch(panels, scene, found, threshold, statistic):
+def _draw_batch(panels: NDArray, scene: Scene, found: Found, threshold: float,
+                statistic: NDArray) -> None:
     """Draw a batch: position over time as an image."""
     frames = np.arange(len(scene.measured))
     low = max(scene.positions.min() - _MARGIN_PX, -0.5)
     high = min(scene.positions.max() + _MARGIN_PX, scene.received.shape[1] - 0.5)
-    images = ((scene.received, 'A  targets'), (scene.measured[:, 0], 'B  measured'),
-              (statistic, 'C  matched filter'), (statistic, 'D  matched filter and targets'))
+    images: tuple[tuple[NDArray, str], ...] = (
+        (scene.received, 'A  targets'), (scene.measured[:, 0], 'B  measured'),
+        (statistic, 'C  matched filter'), (statistic, 'D  matched filter and targets'))
     for axes, (image, title) in zip(panels[:4], images, strict=True):
         axes.imshow(image.T, origin='lower', aspect='auto', cmap='viridis')
         axes.set_title(title, loc='left')
@@ -168,5 +158,5 @@ def _draw_batch(panels, scene, found, threshold, statistic):
         axes.set_xlabel('frame')
 
 
-def _detection_panels(panels):
+def _detection_panels(panels: NDArray) -> tuple[tuple[Any, str, tuple[str, ...]], ...]:
     return ((panels[4], 'E  convex', (CONVEX, CONTINUATION)), (panels[5], 'F  greedy', (GREEDY,)))

@@ -10,11 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from track_before_detect.evaluation.studies.patent.scenes import FIGURES
-from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.batch_detector import BatchDetector
-from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
-from track_before_detect.types import FrameBatch
+from track_before_detect.evaluation.engine.detectors import search
+from track_before_detect.evaluation.studies.patent.figures import FIGURES
 
 _FIGURES = {figure.number: figure for figure in FIGURES}
 
@@ -33,12 +30,11 @@ def measure(item: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
         By method: positions ``found`` (K, T), ``amplitudes`` (K, T), ``status`` and ``cpu_s``.
     """
     scene = _FIGURES[item['figure']].make(np.random.default_rng(item['seed']))
-    stamps = np.arange(float(len(scene.measured)))
     results = {}
     for name, options in item['options'].items():
-        detector = _warm_detector(item['figure'], json.dumps(options))
+        _warm_up(item['figure'], json.dumps(options))
         began = time.process_time()
-        result = detector.detect(FrameBatch.of(scene.measured, stamps))
+        result = search(options, scene.measured)
         results[name] = {
             'cpu_s': time.process_time() - began, 'status': result.status,
             'found': [path.positions[:, 0].tolist() for path in result.found],
@@ -47,10 +43,6 @@ def measure(item: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 @functools.lru_cache(maxsize=64)
-def _warm_detector(number, options) -> BatchDetector:
-    """Return a detector that has compiled and searched a scene of the figure."""
-    made = DetectorOptions.from_mapping(json.loads(options))
-    detector = DETECTOR_CLASSES[made.detector](made)
-    frames = _FIGURES[number].make(np.random.default_rng(0)).measured
-    detector.detect(FrameBatch.of(frames, np.arange(float(len(frames)))))
-    return detector
+def _warm_up(number: int, options: str) -> None:
+    """Let a detector compile, and make its tables for scenes of the figure."""
+    search(json.loads(options), _FIGURES[number].make(np.random.default_rng(0)).measured)

@@ -3,24 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-import dataclasses
+from dataclasses import dataclass
 import functools
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.engine.report import Quantity, SuiteResult
+from track_before_detect.evaluation.engine.quantities import Quantity, share
 from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.engine.runs import checked_runs, run_seeds
-from track_before_detect.evaluation.metrics.confidence import wilson_interval
-from track_before_detect.evaluation.studies.patent import (
-    pictures as patent_pictures,
-)
-from track_before_detect.evaluation.studies.patent import (
-    runs as patent_runs,
-)
-from track_before_detect.evaluation.studies.patent.scenes import (
+from track_before_detect.evaluation.engine.seeds import run_seeds
+from track_before_detect.evaluation.engine.suite import Suite, SuiteResult
+from track_before_detect.evaluation.studies.patent import runs as patent_runs
+from track_before_detect.evaluation.studies.patent.figures import (
     COMBINATORIAL,
     CONTINUATION,
     CONVEX,
@@ -28,13 +23,15 @@ from track_before_detect.evaluation.studies.patent.scenes import (
     FIGURES,
     FOUND_PX,
     GREEDY,
+)
+from track_before_detect.evaluation.studies.patent.pictures import draw_figure, draw_shares
+from track_before_detect.evaluation.studies.patent.scenes import (
     MAX_ACCELERATION_PX,
     MAX_SPEED_PX,
     N_FRAMES,
     WIDTH_PX,
 )
-from track_before_detect.options import DEFAULT_CONTINUATION, DetectorOptions
-from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+from track_before_detect.options import DEFAULT_CONTINUATION
 
 METHODS: dict[str, dict[str, Any]] = {
     CONVEX: {'detector': 'convex', 'continuation': (1.0,)},
@@ -44,7 +41,7 @@ METHODS: dict[str, dict[str, Any]] = {
 }
 
 
-@dataclasses.dataclass(frozen=True)
+@dataclass(frozen=True)
 class _Run:
     """What one method found in one scene."""
 
@@ -79,28 +76,14 @@ class _Run:
 
 
 def run_patent(runs: int, seed: int, runner: Runner) -> SuiteResult:
-    """Detect the targets of each figure by each method.
-
-    Parameters
-    ----------
-    runs : int
-        Scenes per figure.
-    seed : int
-        Every scene gets a seed of its own from this one.
-    runner : Runner
-        Carries out the runs.
-
-    Returns
-    -------
-    SuiteResult
-    """
-    checked_runs(runs, seed)
+    """Detect the targets of each figure, in as many scenes of it, by each method."""
     made: list[_Run] = []
     pictures: dict[str, Callable[[Any], None]] = {}
     for figure, sequence in zip(
             FIGURES, np.random.SeedSequence(seed).spawn(len(FIGURES)), strict=True):
-        options = {name: _calibrated(figure, method, runner)
-                   for name, method in METHODS.items()}
+        shape = figure.make(np.random.default_rng(0)).measured.shape
+        options = {name: {**figure.options, **method, 'threshold': runner.threshold(
+            {**figure.options, **method}, shape)} for name, method in METHODS.items()}
         seeds = run_seeds(sequence, runs)
         items = [{'figure': figure.number, 'seed': one, 'options': options} for one in seeds]
         for item, results in zip(items, runner.map(
@@ -108,7 +91,7 @@ def run_patent(runs: int, seed: int, runner: Runner) -> SuiteResult:
             made += [_Run.read(figure, name, item, result) for name, result in results.items()]
         pictures[f'figure_{figure.number}'] = _picture(
             figure, {run.method: run for run in made if run.seed == seeds[0]})
-    quantities, bars = _quantities(made)
+    shares = _shares(made)
     return SuiteResult(
         'Figures 2-7 of US application 18/790,866',
         f'{runs} scenes per figure, one-dimensional, unit noise; pairs and targets lie at random '
@@ -121,48 +104,44 @@ def run_patent(runs: int, seed: int, runner: Runner) -> SuiteResult:
         'optimum often shows one target as several neighbouring paths), continuation (the '
         'default schedule), t = 0 only, and greedy (one path after the other, never fitted '
         'again). The pictures show the first scene of each figure. Intervals: Wilson.',
-        [run.row() for run in made], quantities,
-        {'runs': runs, 'seed': seed, 'methods': METHODS, 'found_px': FOUND_PX,
+        [run.row() for run in made],
+        [*(one for by_method in shares.values() for one in by_method.values()),
+         *(_converged(method, made) for method in METHODS)],
+        {'methods': METHODS, 'found_px': FOUND_PX,
          'figures': {str(figure.number): dict(figure.options) for figure in FIGURES}},
-        functools.partial(patent_pictures.draw_shares, bars), pictures)
+        functools.partial(draw_shares, shares=shares), pictures)
 
 
-def _calibrated(figure, method, runner) -> dict[str, Any]:
-    """Return the options of a method with the threshold for the scenes of a figure."""
-    options = {**figure.options, **method}
-    detector = DETECTOR_CLASSES[method['detector']](DetectorOptions.from_mapping(options))
-    n_frames, *shape = figure.make(np.random.default_rng(0)).measured.shape
-    threshold = detector.threshold(np.arange(float(n_frames)), tuple(shape), runner.progress)
-    return {**options, 'threshold': threshold}
-
-
-def _picture(figure, first_runs: Mapping[str, _Run]):
+def _picture(figure: Figure, first_runs: Mapping[str, _Run]) -> Callable[[Any], None]:
     """Return what draws the first scene of a figure."""
-    runs = {name: (run.found, run.amplitudes) for name, run in first_runs.items()}
+    found = {name: (run.found, run.amplitudes) for name, run in first_runs.items()}
     run = next(iter(first_runs.values()))
     scene = figure.make(np.random.default_rng(run.seed))
-    return functools.partial(patent_pictures.draw_figure, figure, scene, runs, run.threshold)
+    return functools.partial(draw_figure, figure=figure, scene=scene, found=found,
+                             threshold=run.threshold)
 
 
-def _quantities(made):
-    """Return the lines of the report, and the shares by figure, criterion and method."""
-    quantities, bars = [], []
+def _shares(made: list[_Run]) -> dict[str, dict[str, Quantity]]:
+    """Return how many scenes show what, by figure and criterion, and by method."""
+    shares: dict[str, dict[str, Quantity]] = {}
     for figure in FIGURES:
         for number, criterion in enumerate(figure.criteria):
-            shares = {}
+            by_method = shares[f'Fig. {figure.number}: {criterion.label}'] = {}
             for method in METHODS:
-                shown = [run.met[number] for run in made
-                         if run.figure is figure and run.method == method]
-                share = sum(shown) / len(shown)
-                shares[method] = (share, *wilson_interval(sum(shown), len(shown)))
-                quantities.append(Quantity(
-                    f'Fig. {figure.number}, {criterion.label}: {method}', *shares[method],
-                    len(shown), 'scenes', '%', criterion.goals.get(method, '')))
-            bars.append((f'Fig. {figure.number}: {criterion.label}', shares))
-    for method in METHODS:
-        of_method = [run for run in made if run.method == method]
-        ended = sum(run.status == 'converged' for run in of_method)
-        quantities.append(Quantity(
-            f'converged: {method}', ended / len(of_method),
-            *wilson_interval(ended, len(of_method)), len(of_method), 'scenes', '%'))
-    return quantities, bars
+                met = [run.met[number] for run in made
+                       if run.figure is figure and run.method == method]
+                by_method[method] = share(
+                    f'Fig. {figure.number}, {criterion.label}: {method}', sum(met), len(met),
+                    'scenes', criterion.goals.get(method, ''))
+    return shares
+
+
+def _converged(method: str, made: list[_Run]) -> Quantity:
+    ended = [run.status == 'converged' for run in made if run.method == method]
+    return share(f'converged: {method}', sum(ended), len(ended), 'scenes')
+
+
+SUITE = Suite(
+    'Figures 2-7 of US application 18/790,866 (N scenes each) by the convex method, its '
+    'continuation, t = 0 only and greedy: how often each shows what the text describes.',
+    run_patent)

@@ -9,139 +9,77 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.engine.report import Quantity, share, SuiteResult
+from track_before_detect.evaluation.engine.pictures import BLUE, RED, tidy
+from track_before_detect.evaluation.engine.quantities import estimate, share
 from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.engine.runs import checked_runs, seeds_of
-from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
-from track_before_detect.evaluation.metrics.matching import match_trajectories
-from track_before_detect.options import DetectorOptions
-from track_before_detect.simulation.scenarios import SCENARIOS, simulate
-from track_before_detect.simulation.sensor import add_target
-from track_before_detect.solvers.calibration.noise_study import noise_frames
-from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.types import FrameBatch
+from track_before_detect.evaluation.engine.seeds import items_of, seeds_of
+from track_before_detect.evaluation.engine.suite import Suite, SuiteResult
+from track_before_detect.evaluation.studies.range_doppler.runs import (
+    false_alarm,
+    FOUND_PX,
+    snr_of_detection,
+)
+from track_before_detect.simulation.scenarios import Scenario, simulate
 
-SCENE = SCENARIOS['range_doppler']
 RATE = 0.05
 # Batches of noise per scene, for the rate of false alarms that comes out.
 NOISE_PER_SCENE = 4
-# The SNR at which a target is found is bisected between these, to their distance over 2^7.
-SNRS = (0.5, 3.0)
-HALVINGS = 7
-FOUND_PX = 3.0
 GOAL_DB = 1.5
-
-# What the detectors differ in; all else is left to the defaults.
-MOTIONS: dict[str, dict[str, Any]] = {
-    'coupled': {'motion_model': 'range_doppler',
-                'range_bins_per_doppler_bin': SCENE.range_bins_per_doppler_bin},
-    'uncoupled': {'motion_model': 'nearly_constant_velocity',
-                  'max_speed_px_s': SCENE.speed_px_per_frame * SCENE.fps},
-}
-_COLOURS = {'coupled': '#1f77b4', 'uncoupled': '#d62728'}
+_COLOURS = {'coupled': BLUE, 'uncoupled': RED}
 
 
-def options_for(motion: str, **more: Any) -> DetectorOptions:
-    """Return the options of one of the two detectors."""
-    return DetectorOptions(psf_sigma_px=SCENE.psf_sigma_px, amplitudes='complex',
-                           **MOTIONS[motion], **more)
+def options_of(scene: Scenario) -> dict[str, dict[str, Any]]:
+    """Return the options of both detectors; all else is left to the defaults."""
+    same = {'psf_sigma_px': scene.psf_sigma_px, 'amplitudes': 'complex'}
+    return {
+        'coupled': {**same, 'motion_model': 'range_doppler',
+                    'range_bins_per_doppler_bin': scene.range_bins_per_doppler_bin},
+        'uncoupled': {**same, 'motion_model': 'nearly_constant_velocity',
+                      'max_speed_px_s': scene.speed_px_per_frame * scene.fps}}
 
 
-@functools.cache
-def _detector(motion, threshold):
-    """Return one of the two detectors; both are kept, with their tables."""
-    return ConvexDetector(options_for(motion, threshold=threshold))
-
-
-def _found(item, maps):
-    """Return the positions (T, 2) of all trajectories in complex maps."""
-    result = _detector(item['motion'], item['threshold']).detect(FrameBatch.of(maps, _stamps()))
-    return [one.positions for one in result.found]
-
-
-def _stamps():
-    return np.arange(SCENE.n_frames) / SCENE.fps
-
-
-def _noise(generator):
-    return noise_frames(generator, (SCENE.n_frames, SCENE.height, SCENE.width), True)
-
-
-def false_alarm(item: Mapping[str, Any]) -> dict[str, Any]:
-    """Return whether a batch of noise yields a trajectory.
+def run_range_doppler(runs: int, seed: int, runner: Runner, **overrides: Any) -> SuiteResult:
+    """Compare the motion models over range-Doppler maps.
 
     Parameters
     ----------
-    item : mapping
-        ``motion`` of :data:`MOTIONS`, ``threshold`` and ``seed``.
+    runs, seed, runner
+        As of :meth:`Suite.run`.
+    **overrides
+        Parameters of the scenario to change.
     """
-    return {'alarm': bool(_found(item, _noise(np.random.default_rng(item['seed']))))}
-
-
-def snr_of_detection(item: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the SNR from which on the target of one scene is found, by bisection.
-
-    The noise, the course of the target and the phase of each echo stay the same.
-
-    Parameters
-    ----------
-    item : mapping
-        As of :func:`false_alarm`.
-    """
-    generator = np.random.default_rng(item['seed'])
-    noise = _noise(generator)
-    truth = simulate('range_doppler', item['seed']).truth[:, 2:]
-    target = np.zeros(noise.shape)
-    for picture, (x, y) in zip(target, truth, strict=True):
-        add_target(picture, x, y, SCENE.psf_sigma_px, 1.0)
-    echo = target * np.exp(2j * np.pi * generator.random(len(noise)))[:, None, None]
-    low, high = SNRS
-    for _ in range(HALVINGS):
-        snr = 0.5 * (low + high)
-        found = _found(item, (noise + snr * echo).astype(np.complex64))
-        near = len(match_trajectories(found, [truth], FOUND_PX).pairs)
-        low, high = (low, snr) if near else (snr, high)
-    return {'snr': 0.5 * (low + high)}
-
-
-def run_range_doppler(runs: int, seed: int, runner: Runner) -> SuiteResult:
-    """Compare the motion models over range-Doppler maps; arguments as of every suite."""
-    checked_runs(runs, seed)
-    noise_seeds = seeds_of(seed, 'noise', NOISE_PER_SCENE * runs)
-    scene_seeds = seeds_of(seed, 'scenes', runs)
+    scene = simulate('range_doppler', 0, **overrides).scenario
+    shape = (scene.n_frames, scene.height, scene.width)
     thresholds, snrs, quantities = {}, {}, []
-    for motion in MOTIONS:
-        thresholds[motion] = ConvexDetector(options_for(motion, false_alarm_rate=RATE)).threshold(
-            _stamps(), (SCENE.height, SCENE.width), runner.progress)
-        same = {'motion': motion, 'threshold': thresholds[motion]}
-        alarms = runner.map(false_alarm, [{**same, 'seed': one} for one in noise_seeds],
+    for motion, wanted in options_of(scene).items():
+        thresholds[motion] = runner.threshold({**wanted, 'false_alarm_rate': RATE}, shape)
+        same = {'options': {**wanted, 'threshold': thresholds[motion]}, 'shape': shape}
+        alarms = runner.map(false_alarm, items_of(seed, 'noise', NOISE_PER_SCENE * runs, **same),
                             f'searching noise, {motion}')
         quantities.append(share(
             f'noise batches with a trajectory, {motion}',
             sum(result['alarm'] for result in alarms), len(alarms), 'batches',
             f'requested: {100 * RATE:g} %, threshold {thresholds[motion]:.2f}'))
         snrs[motion] = np.array([result['snr'] for result in runner.map(
-            snr_of_detection, [{**same, 'seed': one} for one in scene_seeds],
+            snr_of_detection, items_of(seed, 'scenes', runs, **same, overrides=overrides),
             f'searching targets, {motion}')])
-        quantities.append(Quantity(
-            f'SNR from which on half of the targets are found, {motion}',
-            _median_db(snrs[motion]), *bootstrap_interval(snrs[motion], _median_db), runs,
-            'targets', 'dB'))
+        quantities.append(estimate(
+            f'SNR from which on half of the targets are found, {motion}', snrs[motion],
+            _median_db, 'targets', 'dB'))
     both = np.stack([snrs['coupled'], snrs['uncoupled']], axis=1)
     quantities += [
-        Quantity('gain of the coupling, mean over targets', mean_gain(both),
-                 *bootstrap_interval(both, mean_gain), runs, 'targets', 'dB',
+        estimate('gain of the coupling, mean over targets', both, mean_gain, 'targets', 'dB',
                  f'goal: {GOAL_DB:g} dB'),
-        Quantity('gain of the coupling, at half of the targets found', _median_gain(both),
-                 *bootstrap_interval(both, _median_gain), runs, 'targets', 'dB')]
-    rows = [{'seed': one, **{f'snr_{motion}': float(snrs[motion][k]) for motion in MOTIONS}}
-            for k, one in enumerate(scene_seeds)]
+        estimate('gain of the coupling, at half of the targets found', both, _median_gain,
+                 'targets', 'dB')]
+    rows = [{'seed': one, **{f'snr_{motion}': float(values[k]) for motion, values in snrs.items()}}
+            for k, one in enumerate(seeds_of(seed, 'scenes', runs))]
     return SuiteResult(
         'Range-Doppler maps with and without the coupling',
-        f'Maps of {SCENE.height} range x {SCENE.width} Doppler bins, {SCENE.n_frames} dwells, '
-        f'PSF of {SCENE.psf_sigma_px:g} bins, circular complex Gaussian noise; one target of '
+        f'Maps of {scene.height} range x {scene.width} Doppler bins, {scene.n_frames} dwells, '
+        f'PSF of {scene.psf_sigma_px:g} bins, circular complex Gaussian noise; one target of '
         'constant amplitude and random phase in each dwell, that moves by up to '
-        f'{SCENE.speed_px_per_frame:g} range bins a dwell as its Doppler says. The detector '
+        f'{scene.speed_px_per_frame:g} range bins a dwell as its Doppler says. The detector '
         'convex with amplitudes complex, once with motion_model range_doppler (coupled) and once '
         'with nearly_constant_velocity and the speed that is needed (uncoupled), all other '
         f'options as by default, each with the threshold it calibrates for {100 * RATE:g} % false '
@@ -150,9 +88,8 @@ def run_range_doppler(runs: int, seed: int, runner: Runner) -> SuiteResult:
         f'{FOUND_PX:g} bins of the target on average is bisected, noise and phases unchanged. '
         'Intervals: Wilson for shares, else bootstrap; those of the gain take the thresholds as '
         'they are.',
-        rows, quantities,
-        {'runs': runs, 'seed': seed, 'false_alarm_rate': RATE, 'thresholds': thresholds},
-        lambda figure: _draw(figure, snrs))
+        rows, quantities, {'false_alarm_rate': RATE, 'thresholds': thresholds},
+        functools.partial(_draw, snrs=snrs))
 
 
 def mean_gain(both: NDArray) -> float:
@@ -160,15 +97,15 @@ def mean_gain(both: NDArray) -> float:
     return float(np.mean(20 * np.log10(both[:, 1] / both[:, 0])))
 
 
-def _median_db(snrs):
+def _median_db(snrs: NDArray) -> float:
     return float(20 * np.log10(np.median(snrs)))
 
 
-def _median_gain(both):
+def _median_gain(both: NDArray) -> float:
     return _median_db(both[:, 1]) - _median_db(both[:, 0])
 
 
-def _draw(figure, snrs):
+def _draw(figure: Any, snrs: Mapping[str, NDArray]) -> None:
     """Draw the share of targets found over the SNR."""
     axes = figure.subplots()
     for motion, values in snrs.items():
@@ -179,4 +116,10 @@ def _draw(figure, snrs):
     axes.set_ylabel('share of targets found')
     axes.set_ylim(0, 1.02)
     axes.legend()
-    axes.spines[['top', 'right']].set_visible(False)
+    tidy([axes], grid=False)
+
+
+SUITE = Suite(
+    'Range-Doppler maps in complex noise (N scenes, 4 N batches of noise): the SNR at which a '
+    'target is found with the coupling of range and Doppler, and without it.',
+    run_range_doppler)

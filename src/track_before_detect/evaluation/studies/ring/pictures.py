@@ -1,4 +1,7 @@
-"""Pictures of the suites ``ring-single`` and ``ring-multi``, as the paper arranges them."""
+"""Pictures of the suites ``ring-single`` and ``ring-multi``, as the paper arranges them.
+
+``means`` and ``half_widths`` are by method, shape (C, L, S), with L = 1 for several targets.
+"""
 
 from __future__ import annotations
 
@@ -8,87 +11,79 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-ORDERS = ('cfo', 'cso', 'mff')
-_COLOURS = {'cfo': '#8c8c8c', 'cso': '#1f77b4', 'mff': '#d62728'}
+from track_before_detect.evaluation.engine.pictures import (
+    BLUE,
+    draw_band,
+    GREY,
+    key,
+    legend_above,
+    RED,
+    tidy,
+)
+from track_before_detect.evaluation.studies.ring.shares import ByMethod, ORDERS
+
+_COLOURS = {'cfo': GREY, 'cso': BLUE, 'mff': RED}
 _STYLES = ('-', '--', ':')
-_BY_METHOD = Mapping[str, NDArray]
+_STATED_MARK = {'markersize': 8, 'markeredgewidth': 1.8, 'markerfacecolor': 'white'}
+_MULTI_TITLES = ('test case 1: two lines', 'test case 2: line and arc', 'test case 3: all three')
 
 
-def draw_single(canvas: Any, means: _BY_METHOD, half_widths: _BY_METHOD, snrs: Sequence[float],
+def draw_single(canvas: Any, means: ByMethod, half_widths: ByMethod, snrs: Sequence[float],
                 lengths: Sequence[int], stated: Mapping[str, float]) -> None:
     """Draw Figure 6: DP, DPR and their difference, by case.
 
-    Parameters
-    ----------
-    canvas : matplotlib Figure
-    means, half_widths : mapping
-        By method, shape (C, L, S).
-    snrs, lengths : sequence
-        What S and L stand for.
-    stated : mapping
-        By order, what the paper says of the best P_d of its plain form at the first SNR; drawn in
-        the case in which ours is best.
+    ``stated`` is what the paper says, by order, of the best P_d of its plain form at the first
+    SNR; drawn in the case in which ours is best.
     """
     titles = [f'test case {case}: {what}' for case, what in enumerate(
         ('line, v_max = 2', 'line, v_max = 1', 'arc, v_max = 1'), 1)]
-    panels = _probabilities(canvas, titles, snrs)
-    for case, column in enumerate(panels.T):
-        # The longest sequence is drawn solid.
-        for number, style in zip(reversed(range(len(lengths))), _STYLES):
-            for order in ORDERS:
-                _draw_curves(column, order, means, half_widths, (case, number), snrs, style)
+    # The longest sequence is drawn solid.
+    styles = dict(zip(reversed(range(len(lengths))), _STYLES, strict=False))
+    panels = _draw_probabilities(canvas, titles, means, half_widths, snrs, styles)
     for order, value in stated.items():
         ours = means[f'{order}_dp'][..., 0].max(axis=1)
-        panels[0, ours.argmax()].plot(snrs[0], 100 * value, 'o', markersize=8, markeredgewidth=1.8,
-                                markerfacecolor='white', markeredgecolor=_COLOURS[order],
-                                clip_on=False, zorder=5)
-    handles = [*(_handle(panels[0, 0], _COLOURS[order], '-', order.upper()) for order in ORDERS),
-               *(_handle(panels[0, 0], 'black', style, f'N = {length}')
-                 for length, style in zip(reversed(lengths), _STYLES)),
-               panels[0, 0].plot([], [], 'o', markersize=8, markeredgewidth=1.8, color='black',
-                                 markerfacecolor='white', label='paper, best')[0]]
-    canvas.legend(handles=handles, loc='outside upper center', ncols=7, frameon=False)
+        panels[0, ours.argmax()].plot(snrs[0], 100 * value, 'o', markeredgecolor=_COLOURS[order],
+                                      clip_on=False, zorder=5, **_STATED_MARK)
+    legend_above(canvas, 7, [
+        *_keys_of_orders(panels[0, 0]),
+        *(key(panels[0, 0], f'N = {lengths[number]}', style, color='black')
+          for number, style in styles.items()),
+        key(panels[0, 0], 'paper, best', 'o', color='black', **_STATED_MARK)])
 
 
-def draw_multi(canvas: Any, means: _BY_METHOD, half_widths: _BY_METHOD,
+def draw_multi(canvas: Any, means: ByMethod, half_widths: ByMethod,
                snrs: Sequence[float]) -> None:
-    """Draw Figure 9: DP, DPR and their difference, by case; arguments as above with L = 1."""
-    panels = _probabilities(canvas, _multi_titles(), snrs)
-    for case, column in enumerate(panels.T):
-        for order in ORDERS:
-            _draw_curves(column, order, means, half_widths, (case, 0), snrs, '-')
-    handles = [_handle(panels[0, 0], _COLOURS[order], '-', order.upper()) for order in ORDERS]
-    canvas.legend(handles=handles, loc='outside upper center', ncols=3, frameon=False)
+    """Draw Figure 9: DP, DPR and their difference, by case."""
+    panels = _draw_probabilities(canvas, _MULTI_TITLES, means, half_widths, snrs, {0: '-'})
+    legend_above(canvas, 3, _keys_of_orders(panels[0, 0]))
 
 
-def draw_false(canvas: Any, means: _BY_METHOD, half_widths: _BY_METHOD,
+def draw_false(canvas: Any, means: ByMethod, half_widths: ByMethod,
                snrs: Sequence[float]) -> None:
-    """Draw Figure 10: the false alarm rate by case; arguments as above with L = 1."""
+    """Draw Figure 10: the false alarm rate by case."""
     canvas.set_size_inches(11, 4.2)
     panels = canvas.subplots(1, 3, sharey=True)
-    for case, (axes, title) in enumerate(zip(panels, _multi_titles(), strict=True)):
+    styles = {'dp': '--', 'dpr': '-'}
+    for case, (axes, title) in enumerate(zip(panels, _MULTI_TITLES, strict=True)):
         for order in ORDERS:
-            for form, style in (('dp', '--'), ('dpr', '-')):
+            for form, style in styles.items():
                 method = f'{order}_{form}'
-                _band(axes, snrs, 1e6 * means[method][case, 0],
-                      1e6 * half_widths[method][case, 0], _COLOURS[order], style)
+                _draw_mean(axes, snrs, 1e6 * means[method][case, 0],
+                           1e6 * half_widths[method][case, 0], order, style)
         axes.set_title(title, fontsize='medium')
         axes.set_xlabel('SNR')
-        axes.grid(alpha=0.25)
-        axes.spines[['top', 'right']].set_visible(False)
+    tidy(panels)
     # Not before all panels are drawn: they share the scale.
     panels[0].set_ylim(bottom=0)
     panels[0].set_ylabel('false alarm rate P_f [1e-6]')
-    handles = [*(_handle(panels[0], _COLOURS[order], '-', order.upper()) for order in ORDERS),
-               _handle(panels[0], 'black', '--', 'DP'), _handle(panels[0], 'black', '-', 'DPR')]
-    canvas.legend(handles=handles, loc='outside upper center', ncols=5, frameon=False)
+    legend_above(canvas, 5, [*_keys_of_orders(panels[0]), *(
+        key(panels[0], form.upper(), style, color='black') for form, style in styles.items())])
 
 
-def _multi_titles():
-    return ['test case 1: two lines', 'test case 2: line and arc', 'test case 3: all three']
-
-
-def _probabilities(canvas, titles, snrs):
+def _draw_probabilities(canvas: Any, titles: Sequence[str], means: ByMethod,
+                        half_widths: ByMethod, snrs: Sequence[float],
+                        styles: Mapping[int, str]) -> NDArray:
+    """Draw DP, DPR and their difference by case, each length in its style; return the panels."""
     canvas.set_size_inches(11, 9)
     panels = canvas.subplots(3, 3, sharex=True, sharey='row')
     for axes, title in zip(panels[0], titles, strict=True):
@@ -101,28 +96,24 @@ def _probabilities(canvas, titles, snrs):
     for axes in panels[2]:
         axes.set_xlabel('SNR')
         axes.axhline(0, color='black', linewidth=0.6)
-    for axes in panels.ravel():
-        axes.grid(alpha=0.25)
-        axes.spines[['top', 'right']].set_visible(False)
+    tidy(panels.ravel())
     panels[0, 0].set_xlim(min(snrs), max(snrs))
+    for case, column in enumerate(panels.T):
+        for number, style in styles.items():
+            for order in ORDERS:
+                of_forms = [100 * means[f'{order}_{form}'][case, number] for form in ('dp', 'dpr')]
+                for axes, form, mean in zip(column, ('dp', 'dpr'), of_forms, strict=False):
+                    half_width = 100 * half_widths[f'{order}_{form}'][case, number]
+                    _draw_mean(axes, snrs, mean, half_width, order, style)
+                column[2].plot(snrs, of_forms[1] - of_forms[0], style, color=_COLOURS[order])
     return panels
 
 
-def _draw_curves(column, order, means, half_widths, at, snrs, style):
-    """Draw one method in the three panels of a case."""
-    plain, ring = f'{order}_dp', f'{order}_dpr'
-    for axes, method in zip(column[:2], (plain, ring), strict=True):
-        _band(axes, snrs, 100 * means[method][at], 100 * half_widths[method][at],
-              _COLOURS[order], style)
-    column[2].plot(snrs, 100 * (means[ring][at] - means[plain][at]), style,
-                   color=_COLOURS[order])
+def _draw_mean(axes: Any, snrs: Sequence[float], mean: NDArray, half_width: NDArray, order: str,
+               style: str) -> None:
+    ends = (np.maximum(mean - half_width, 0), mean + half_width)
+    draw_band(axes, snrs, mean, ends, _COLOURS[order], style, 0.15)
 
 
-def _band(axes, snrs, mean, half_width, colour, style):
-    axes.plot(snrs, mean, style, color=colour)
-    axes.fill_between(snrs, np.maximum(mean - half_width, 0), mean + half_width, color=colour,
-                      alpha=0.15, linewidth=0)
-
-
-def _handle(axes, colour, style, label):
-    return axes.plot([], [], style, color=colour, label=label)[0]
+def _keys_of_orders(axes: Any) -> list[Any]:
+    return [key(axes, order.upper(), color=_COLOURS[order]) for order in ORDERS]

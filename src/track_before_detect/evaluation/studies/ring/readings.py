@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.evaluation.benchmarks.numpy_merit import Padded
-from track_before_detect.evaluation.engine.report import markdown_table
-from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
+from track_before_detect.evaluation.engine.quantities import mean
+from track_before_detect.evaluation.engine.tables import markdown_table
 from track_before_detect.evaluation.metrics.paper_metrics import SAME_POINT_PX
 from track_before_detect.evaluation.studies.ring.scenes import (
     point_frames,
@@ -139,16 +139,12 @@ def section(results: Sequence[Mapping[str, float]], others: Mapping[str, float])
     others : mapping
         P_d of the second-order methods at the same point, by name.
     """
-    rows, ends = [], {}
-    for label in results[0]:
-        shares = np.array([result[label] for result in results])
-        low, high = bootstrap_interval(shares, lambda drawn: float(drawn.mean()))
-        ends[label] = (low, high)
-        rows.append((label, *(f'{100 * value:.1f} %' for value in (shares.mean(), low, high))))
+    read = [mean(label, [result[label] for result in results], 'runs') for label in results[0]]
+    rows = [(one.name, *(f'{100 * value:.1f} %' for value in (one.value, one.low, one.high)))
+            for one in read]
     stated = f'{100 * STATED:g} %'
-    within = [label for label, (low, high) in ends.items() if low <= STATED <= high]
-    means = {label: np.mean([result[label] for result in results]) for label in ends}
-    nearest = min(means, key=lambda label: abs(means[label] - STATED))
+    within = [f'"{one.name}"' for one in read if one.low <= STATED <= one.high]
+    nearest = min(read, key=lambda one: abs(one.value - STATED)).name
     lines = [
         '## First order at SNR 1.5: other readings of the text', '',
         f'The paper states about {stated} for the best CFO-DP at SNR {SNR:g}. Measured '
@@ -159,21 +155,17 @@ def section(results: Sequence[Mapping[str, float]], others: Mapping[str, float])
         *markdown_table(('reading of CFO-DP', 'P_d', 'from', 'to'), rows), '',
         'The paper counts its source of the first order (Johnston and Krishnamurthy 2002) among '
         'the methods with trajectory constraints, and writes it without one. Of the readings '
-        + (f'{_listed(within)} has {stated} in its interval.' if within else
+        + (f'{" and ".join(within)} has {stated} in its interval.' if within else
            f'none has {stated} in its interval; nearest is "{nearest}".')
         + ' The detectors cfo_dp and cfo_dpr are as printed.']
     return '\n'.join(lines)
 
 
-def _listed(labels):
-    return ' and '.join(f'"{label}"' for label in labels)
-
-
-def _largest(merit):
+def _largest(merit: NDArray) -> NDArray[np.int64]:
     flat = merit.reshape(len(merit), -1).argmax(axis=1)
     return np.stack([flat % merit.shape[2], flat // merit.shape[2]], axis=1)
 
 
-def _share(estimates, truth, limit_px):
+def _share(estimates: NDArray, truth: NDArray, limit_px: float) -> float:
     """Return the share of frames in which an estimate is near the target on both axes."""
     return float(np.mean(np.abs(estimates - truth).max(axis=1) <= limit_px))

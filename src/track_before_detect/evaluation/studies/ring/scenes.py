@@ -11,6 +11,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.simulation.motions import direction
+
+Pair = tuple[float, float]
+
 # Fu et al., Section 4: frames, and the speed limit of each case of Figure 5.
 RING_SIDE_PX = 128
 RING_FRAMES = 100
@@ -68,10 +72,11 @@ def point_frames(rng: np.random.Generator, targets: NDArray, snr: float,
     return frames
 
 
-def _line(start, velocity, n_frames):
+def _line(start: Pair, velocity: Pair, n_frames: int) -> NDArray[np.float64]:
     return np.array(start, float) + np.arange(n_frames)[:, None] * np.array(velocity)
 
 
-def _arc(centre, radius, speed, start, n_frames):
+def _arc(centre: Pair, radius: float, speed: float, start: float,
+         n_frames: int) -> NDArray[np.float64]:
     angle = start + speed / radius * np.arange(n_frames)
-    return np.array(centre, float) + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.array(centre, float) + radius * direction(angle)

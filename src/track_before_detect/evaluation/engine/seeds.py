@@ -1,20 +1,11 @@
-"""Runs of a study and their seeds."""
+"""Seeds of the runs of a study, and the items that are made of them."""
 
 from __future__ import annotations
 
 import hashlib
+from typing import Any
 
 import numpy as np
-
-from track_before_detect.errors import ParameterError
-
-
-def checked_runs(runs: int, seed: int) -> None:
-    """Refuse a number of runs or a seed that no study can be made with."""
-    if runs < 1:
-        raise ParameterError(f'runs must be at least 1, got {runs}')
-    if seed < 0:
-        raise ParameterError(f'seed must not be negative, got {seed}')
 
 
 def run_seeds(sequence: np.random.SeedSequence, count: int) -> list[int]:
@@ -37,3 +28,8 @@ def seeds_of(seed: int, name: str, count: int) -> list[int]:
     """
     words = np.frombuffer(hashlib.sha256(name.encode()).digest(), '<u4')
     return run_seeds(np.random.SeedSequence([seed, *words.tolist()]), count)
+
+
+def items_of(seed: int, name: str, count: int, **same: Any) -> list[dict[str, Any]]:
+    """Return the items of the runs of one part, which differ in their ``seed`` alone."""
+    return [{**same, 'seed': one} for one in seeds_of(seed, name, count)]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation.metrics.matching import closest_pairs, Paths
 
 
 @dataclass(frozen=True)
@@ -39,52 +38,33 @@ class TrackQuality:
     n_tracks: NDArray[np.int64]
 
 
-def track_quality(found: Sequence[NDArray] | NDArray, targets: Sequence[NDArray] | NDArray,
-                  limit_px: float) -> TrackQuality:
-    """Measure purity and completeness.
-
-    Parameters
-    ----------
-    found, targets : sequence of array, shape (T, 2)
-        Positions of tracks and targets in pixels; NaN where absent.
-    limit_px : float
-        Largest distance of a pair in a frame, above 0.
-
-    Returns
-    -------
-    TrackQuality
-    """
+def track_quality(found: Paths, targets: Paths, limit_px: float) -> TrackQuality:
+    """Measure purity and completeness; ``limit_px`` is the largest distance of a pair."""
     if not limit_px > 0:
         raise ParameterError(f'limit_px must be above 0, got {limit_px:g}')
     counts = np.zeros((len(found), len(targets)), np.int64)
     tracks, truths = np.asarray(found, float), np.asarray(targets, float)
     if counts.size:
         for frame in range(truths.shape[1]):
-            pairs = _paired(tracks[:, frame], truths[:, frame], limit_px)
-            counts[pairs] += 1
+            counts[_paired(tracks[:, frame], truths[:, frame], limit_px)] += 1
     return TrackQuality(
-        _share(counts.max(axis=1, initial=0), _frames(tracks)),
-        _share(counts.max(axis=0, initial=0), _frames(truths)),
-        _share(counts.sum(axis=0), _frames(truths)), (counts > 0).sum(axis=0))
+        _share(counts.max(axis=1, initial=0), tracks),
+        _share(counts.max(axis=0, initial=0), truths),
+        _share(counts.sum(axis=0), truths), (counts > 0).sum(axis=0))
 
 
-def _paired(tracks, truths, limit_px):
+def _paired(tracks: NDArray, truths: NDArray, limit_px: float) -> tuple[NDArray, NDArray]:
     """Return the pairs of one frame as two arrays of indices."""
     distances = np.linalg.norm(tracks[:, None] - truths[None], axis=2)
     near = distances <= limit_px
     # Those that are in no pair would only make the assignment larger.
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
-    near, distances = near[np.ix_(rows, columns)], distances[np.ix_(rows, columns)]
-    price = np.where(near, distances, (min(near.shape, default=0) + 1) * limit_px)
-    chosen = linear_sum_assignment(price)
-    kept = near[chosen]
-    return rows[chosen[0][kept]], columns[chosen[1][kept]]
+    some = np.ix_(rows, columns)
+    pairs = closest_pairs(distances[some], near[some], limit_px)
+    return rows[pairs[:, 0]], columns[pairs[:, 1]]
 
 
-def _frames(positions):
-    return (np.isfinite(positions).all(axis=2).sum(axis=1) if len(positions)
-            else np.zeros(0, np.int64))
-
-
-def _share(part, whole):
+def _share(part: NDArray, paths: NDArray) -> NDArray[np.float64]:
+    """Return the share of the frames in which each is present."""
+    whole = (np.isfinite(paths).all(axis=2).sum(axis=1) if len(paths) else np.zeros(0, np.int64))
     return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from numba import njit
 import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.kernels.compile_flags import EXACT, FINITE
 
 
-@njit(cache=True, nogil=True)
-def best_lines(scores, offsets, row, best):
+@njit(**EXACT)
+def best_lines(scores: NDArray, offsets: NDArray, row: NDArray, best: NDArray) -> None:
     """Find the best straight path of each velocity that stays inside.
 
     A path is centre + offset in every frame; for each velocity all centres are tried:
@@ -48,8 +51,9 @@ def best_lines(scores, offsets, row, best):
             best[v] = max(best[v], _largest(row, width))
 
 
-@njit(cache=True, nogil=True)
-def best_line_near(scores, offsets, centres, truth, limit):
+@njit(**EXACT)
+def best_line_near(scores: NDArray, offsets: NDArray, centres: NDArray, truth: NDArray,
+                   limit: float) -> float:
     """Return the largest sum along a path that stays inside and near a target, -inf without one.
 
     Parameters
@@ -82,8 +86,8 @@ def best_line_near(scores, offsets, centres, truth, limit):
     return best
 
 
-@njit(cache=True, nogil=True)
-def _add(row, flat, first, width):
+@njit(**EXACT)
+def _add(row: NDArray, flat: NDArray, first: NDArray, width: int) -> None:
     """Fill a row with the sum of the rows that begin at ``first`` (T,), four at a time."""
     n_frames = len(first)
     for x in range(width):
@@ -98,8 +102,8 @@ def _add(row, flat, first, width):
             row[x] += flat[a + x]
 
 
-@njit(cache=True, nogil=True, fastmath={'nnan', 'nsz', 'ninf'})
-def _largest(row, width):
+@njit(**FINITE)
+def _largest(row: NDArray, width: int) -> float:
     largest = row[0]
     for x in range(1, width):
         largest = max(largest, row[x])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.evaluation.studies.limits.straight_lines import best_line_near, best_lines
+from track_before_detect.evaluation.studies.dim.straight_lines import best_line_near, best_lines
 
 # Places per pixel.
 GRID = 2
@@ -83,20 +83,19 @@ class LineFilter:
                               GRID * limit_px)
         return self._statistic(best) if np.isfinite(best) else None
 
-    def _scores(self, frames):
+    def _scores(self, frames: NDArray) -> NDArray[np.float32]:
         """Return what adds up along a path on the grid, shape (T, GRID (H - 1) + 1, ...)."""
-        n_frames, height, width = frames.shape
+        _, height, width = frames.shape
         rows = _filter_matrix(height, self._sigma)
         columns = _filter_matrix(width, self._sigma)
         h = (rows @ frames @ columns.T).astype(np.float32)
         return h if self._constant else np.maximum(h, 0)**2
 
-    def _statistic(self, total):
-        n_frames = len(self._times)
-        return total / n_frames**0.5 if self._constant else max(total, 0.0)**0.5
+    def _statistic(self, total: float) -> float:
+        return total / len(self._times)**0.5 if self._constant else max(total, 0.0)**0.5
 
 
-def _filter_matrix(side, sigma):
+def _filter_matrix(side: int, sigma: float) -> NDArray[np.float32]:
     """Return unit-norm Gaussian stamps at all places of one axis, cut at the border."""
     places = np.arange(GRID * (side - 1) + 1) / GRID
     stamps = np.exp(-0.5 * ((np.arange(side) - places[:, None]) / sigma)**2)

@@ -14,6 +14,8 @@ from typing import Any
 
 import numpy as np
 
+from track_before_detect.evaluation.benchmarks.bench import SEED
+from track_before_detect.evaluation.benchmarks.own_process import in_own_process
 from track_before_detect.evaluation.benchmarks.timing import summary, timed
 from track_before_detect.models.motion.state_graph import build_state_graph, StateGraph
 from track_before_detect.solvers.search.viterbi_table import ViterbiTable
@@ -21,7 +23,6 @@ from track_before_detect.solvers.search.viterbi_table import ViterbiTable
 # Positions, and frames of a search frame by frame; fewer than a batch has, for memory.
 GRID_SHAPE = (1024, 1280)
 N_FRAMES = 8
-SEED = 1
 
 
 def copying(graph: StateGraph, grid_shape: tuple[int, int]) -> Callable[[], object]:
@@ -68,30 +69,40 @@ def compared(graph: StateGraph, grid_shape: tuple[int, int], stages: Mapping[str
     }
 
 
-def search_cases() -> list[tuple[str, int]]:
-    """Return the searches that are measured: name and number of frames."""
-    return [('25 velocities, segments of one frame', N_FRAMES),
-            ('69 velocities, segments of seven frames', 20)]
+@dataclasses.dataclass(frozen=True)
+class SearchCase:
+    """A search of random scores, frame by frame or in segments."""
+
+    name: str
+    n_frames: int
+    grid_shape: tuple[int, int] = GRID_SHAPE
+
+    def measure(self, repeats: int) -> dict[str, Any]:
+        """Measure it in a process of its own."""
+        return in_own_process(measure_search, self, repeats)
 
 
-def measure_search(name: str, n_frames: int, repeats: int,
-                   grid_shape: tuple[int, int]) -> dict[str, Any]:
-    """Measure one search of random scores in this process."""
-    stamps = np.arange(float(n_frames))
-    if n_frames == N_FRAMES:
+SEARCHES = (SearchCase('25 velocities, segments of one frame', N_FRAMES),
+            SearchCase('69 velocities, segments of seven frames', 20))
+
+
+def measure_search(case: SearchCase, repeats: int) -> dict[str, Any]:
+    """Measure one search in this process."""
+    stamps = np.arange(float(case.n_frames))
+    if case.n_frames == N_FRAMES:
         graph = build_state_graph(stamps, step_px=1.0, max_speed=2.4, max_acceleration=3.0,
                                   turn_cost=3.0)
         graph = dataclasses.replace(graph, reach=1)
     else:
         graph = build_state_graph(stamps, step_px=0.5, max_speed=1.0, max_acceleration=1 / 30,
                                   turn_cost=3.0)
-    scores = np.random.default_rng(SEED).exponential(size=(n_frames, *grid_shape))
+    scores = np.random.default_rng(SEED).exponential(size=(case.n_frames, *case.grid_shape))
     scores = scores.astype(np.float32)
-    table = ViterbiTable(graph, grid_shape)
+    table = ViterbiTable(graph, case.grid_shape)
     table.fill(scores)
-    search, layer = timed([lambda: table.fill(scores), copying(graph, grid_shape)], repeats)
-    return {'name': name, 'n_frames': n_frames, 'reach': graph.reach,
-            **compared(graph, grid_shape, {'path_search': search}, layer)}
+    search, layer = timed([lambda: table.fill(scores), copying(graph, case.grid_shape)], repeats)
+    return {'name': case.name, 'n_frames': case.n_frames, 'reach': graph.reach,
+            **compared(graph, case.grid_shape, {'path_search': search}, layer)}
 
 
 def search_rows(measured: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:

@@ -1,0 +1,49 @@
+"""The detectors that studies search with, made of options that JSON can hold."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+import functools
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.options import DetectorOptions
+from track_before_detect.solvers.batch_detector import BatchDetector, BatchResult
+from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+from track_before_detect.types import FrameBatch, Progress
+
+Options = Mapping[str, Any]
+
+
+def detector_of(options: Options) -> BatchDetector:
+    """Return a new detector, or say what is wrong with its options."""
+    made = DetectorOptions.from_mapping(dict(options))
+    return DETECTOR_CLASSES[made.detector](made)
+
+
+def threshold_of(options: Options, shape: tuple[int, ...], progress: Progress) -> float:
+    """Return the threshold for batches (T, H, W), one second from frame to frame."""
+    n_frames, height, width = shape
+    return detector_of(options).threshold(stamps_of(n_frames), (height, width), progress)
+
+
+def search(options: Options, frames: NDArray) -> BatchResult:
+    """Return what a detector finds in frames (T, H, W), one second from each to the next.
+
+    A worker keeps its detectors, with their tables, for the runs that follow.
+    """
+    return _kept_detector(json.dumps(options, sort_keys=True)).detect(
+        FrameBatch.of(frames, stamps_of(len(frames))))
+
+
+def stamps_of(n_frames: int) -> NDArray[np.float64]:
+    """Return the stamps of all studies, in seconds."""
+    return np.arange(float(n_frames))
+
+
+@functools.lru_cache(maxsize=64)
+def _kept_detector(options: str) -> BatchDetector:
+    return detector_of(json.loads(options))

@@ -1,0 +1,82 @@
+"""A study that can be repeated, and what it hands over."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+import dataclasses
+from dataclasses import dataclass, field
+from typing import Any
+
+from track_before_detect.errors import ParameterError
+from track_before_detect.evaluation.engine.quantities import Quantity
+from track_before_detect.evaluation.engine.runner import Runner
+
+
+@dataclass(frozen=True)
+class SuiteResult:
+    """What a suite found out.
+
+    Attributes
+    ----------
+    title : str
+        Heading of the report.
+    description : str
+        What was done, in a few sentences.
+    rows : list of dict
+        One per run, all with the same keys.
+    quantities : list of Quantity
+        The table of the report.
+    settings : mapping
+        What the runs were made with, beside their number and seed.
+    draw : callable
+        Draws the picture into a matplotlib figure.
+    pictures : mapping
+        Further pictures: what the name of the file ends in, and what draws it.
+    details : str
+        More of the report, in Markdown, after the pictures.
+    """
+
+    title: str
+    description: str
+    rows: list[dict[str, Any]]
+    quantities: list[Quantity]
+    settings: Mapping[str, Any]
+    draw: Callable[[Any], None]
+    pictures: Mapping[str, Callable[[Any], None]] = field(default_factory=dict)
+    details: str = ''
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A study that can be repeated.
+
+    Attributes
+    ----------
+    description : str
+        What it finds out.
+    study : callable
+        Told the number of runs, the seed and a Runner, which have been checked.
+    """
+
+    description: str
+    study: Callable[[int, int, Runner], SuiteResult]
+
+    def run(self, runs: int, seed: int, runner: Runner) -> SuiteResult:
+        """Carry out the study.
+
+        Parameters
+        ----------
+        runs : int
+            How often it is repeated, at least 1.
+        seed : int
+            Not negative; every run gets a seed of its own from it.
+        runner : Runner
+            Carries out the runs.
+        """
+        if runs < 1:
+            raise ParameterError(f'runs must be at least 1, got {runs}')
+        if seed < 0:
+            raise ParameterError(f'seed must not be negative, got {seed}')
+        result = self.study(runs, seed, runner)
+        return dataclasses.replace(
+            result, settings={'runs': runs, 'seed': seed, **result.settings})

@@ -1,0 +1,1 @@
+"""Positions and amplitudes of bright targets beside the Cramér-Rao bound."""

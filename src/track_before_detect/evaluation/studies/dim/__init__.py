@@ -1,0 +1,1 @@
+"""Dim targets beside an exhaustive search."""

@@ -1,0 +1,1 @@
+"""False alarms that were asked for and that came."""

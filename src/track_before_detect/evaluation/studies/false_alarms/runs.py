@@ -1,0 +1,35 @@
+"""Single runs of the suite ``false-alarms``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from track_before_detect.evaluation.engine.detectors import search
+from track_before_detect.evaluation.studies.single_target import noise
+
+
+def noise_alarms(item: Mapping[str, Any]) -> dict[str, list[bool]]:
+    """Search one batch of noise at several thresholds.
+
+    Parameters
+    ----------
+    item : mapping
+        ``side_px``, ``thresholds`` and ``seed``.
+
+    Returns
+    -------
+    dict
+        ``alarms``: for each threshold, whether there was a trajectory.
+    """
+    frames = noise(np.random.default_rng(item['seed']), item['side_px'])
+    alarms = [False] * len(item['thresholds'])
+    # The search starts with the best path of all, so what a low threshold does not find, a higher
+    # one does not find either.
+    for number in np.argsort(item['thresholds']):
+        if not search({'threshold': item['thresholds'][number]}, frames).found:
+            break
+        alarms[number] = True
+    return {'alarms': alarms}

@@ -1,1 +1,0 @@
-"""How close the detector is to what is possible: dim, accuracy, false-alarms."""
