@@ -15,7 +15,7 @@ from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf, Psf
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
-from track_before_detect.preprocess.chain import prepare, PreparedBatch
+from track_before_detect.preprocess.prepare import prepare, PreparedBatch
 from track_before_detect.solvers.batch_detector import FoundTrajectory
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
@@ -198,8 +198,7 @@ class SensorPipeline:
         own = FrameBatch(
             batch.frames[rows, :height, :width] / np.float32(self._array.noise_sigmas[sensor]),
             batch.stamps[rows], batch.frame_indices[rows])
-        sigma = min(max(self._array.psfs[sensor].width_px, 0.3), 20.0)
-        return prepare(own, self._options.replace(psf_sigma_px=sigma))
+        return prepare(own, self._options, self._array.psfs[sensor].width_px)
 
     def _on_plane(self, found: FoundTrajectory, view, units, batch) -> Trajectory:
         """Return a trajectory on the plane, amplitudes in the units of each frame's sensor."""
