@@ -36,7 +36,7 @@ ALLOWED = {
     'kernels': set(),
     'option_models': BASICS | {'models'},
     'models': {'errors', 'geometry', 'kernels'},
-    'preprocess': BASICS | {'kernels', 'models', 'option_models'},
+    'preprocess': BASICS | {'kernels'},
     'solvers': BASICS | {'kernels', 'models', 'option_models'},
     'tracking': BASICS | {'kernels', 'models', 'option_models', 'preprocess', 'solvers'},
     'recordings': BASICS,

@@ -3,6 +3,7 @@
 import os
 import re
 import signal
+import sys
 import time
 
 import pytest
@@ -15,6 +16,8 @@ import numpy as np  # noqa: E402
 from rcl_interfaces.msg import Parameter as ParameterMsg  # noqa: E402
 from rcl_interfaces.msg import ParameterType, ParameterValue  # noqa: E402
 from rcl_interfaces.srv import DescribeParameters, SetParameters  # noqa: E402
+import rclpy  # noqa: E402
+from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
 from std_msgs.msg import Float32MultiArray, Header  # noqa: E402
@@ -22,6 +25,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from track_before_detect.ros import conversions  # noqa: E402
+from track_before_detect.ros.detector_node import DetectorNode, spin_and_stop  # noqa: E402
 
 RATE_HZ = 25.0
 SHAPE = (32, 40)
@@ -286,6 +290,23 @@ def test_what_the_detector_in_use_cannot_do_is_refused_and_the_search_goes_on(la
     station.wait_for_diagnostics(state='waiting for frames')
 
 
+def test_a_change_reads_the_file_of_an_option_once_alone_and_once_with_the_others(
+        ros_domain, tmp_path):
+    path = tmp_path / 'psf.npy'
+    np.save(path, np.outer([1, 2, 1], [1, 2, 1]))
+    opened = []
+    sys.addaudithook(lambda event, arguments: event == 'open' and opened.append(arguments[0]))
+    rclpy.init()
+    node = DetectorNode()
+    try:
+        assert node.set_parameters([Parameter('psf', value=str(path))])[0].successful
+        assert [str(name) for name in opened].count(str(path)) == 2
+    finally:
+        assert node.stop()
+        node.destroy_node()
+        rclpy.shutdown()
+
+
 def test_parameters_describe_themselves(launch, station):
     start(launch, station)
     response = station.call(
@@ -337,8 +358,7 @@ def test_a_second_interrupt_changes_nothing(launch, station):
     assert 'Traceback' not in detector.output
 
 
-def test_an_interrupt_while_the_search_is_waited_for_changes_nothing(monkeypatch):
-    from track_before_detect.ros import detector_node
+def test_an_interrupt_while_the_search_is_waited_for_changes_nothing():
     waited = []
 
     class Node:
@@ -352,11 +372,10 @@ def test_an_interrupt_while_the_search_is_waited_for_changes_nothing(monkeypatch
     def interrupted(node):
         raise KeyboardInterrupt('the first one')
 
-    monkeypatch.setattr(detector_node.rclpy, 'spin', interrupted)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt, match='the first one'):
-            detector_node._spin(Node())
+            spin_and_stop(Node(), interrupted)
     finally:
         signal.signal(signal.SIGINT, before)
     assert waited

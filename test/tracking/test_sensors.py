@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from track_before_detect import (
     DataError,
@@ -145,6 +146,39 @@ def test_background_and_noise_are_those_of_each_sensor():
     result = detect_sensors(shaded, background='temporal_median', noise='robust', threshold=10)
     [found] = result.trajectories
     assert np.abs(found.positions - place(found.stamps)).mean() < 0.5
+
+
+@pytest.mark.parametrize('steps', [{'noise': 'robust'}, {'background': 'spatial_median'}],
+                         ids=['correlated noise', 'background mesh'])
+def test_a_sensor_with_a_psf_of_its_own_is_prepared_by_it_whatever_the_options_say(steps):
+    rng = np.random.default_rng(7)
+    [seen, _] = sensors(7, 30.0, noise=0.0)
+    noise = ndimage.gaussian_filter(rng.normal(size=seen.frames.shape), (0, 0.6, 0.6))
+    y, x = np.mgrid[:SHAPES[0][0], :SHAPES[0][1]]
+    frames = seen.frames + noise / noise.std() + 0.005 * ((y - 15)**2 + (x - 17)**2)
+    sensor = Sensor(frames, seen.stamps, psf_sigma_px=SIGMAS[0])
+    y, x = np.mgrid[-9:10, -9:10]
+    statistics = []
+    for psf in ({'psf': np.exp(-0.5 * (x**2 + y**2) / 3.0**2)}, {'psf_sigma_px': SIGMAS[0]}):
+        [found] = detect_sensors([sensor], threshold=30, max_acceleration_px_s2=0, **psf,
+                                 **steps).trajectories
+        statistics.append(found.statistic)
+    assert statistics[0] == pytest.approx(statistics[1], rel=1e-6)
+
+
+def test_an_array_as_psf_counts_by_its_width_in_the_preparation():
+    rng = np.random.default_rng(8)
+    noise = ndimage.gaussian_filter(rng.normal(size=(N_FRAMES, 40, 40)), (0, 1, 1))
+    y, x = np.mgrid[-8:9, -8:9]
+    array = np.exp(-0.125 * (x**2 + y**2))
+    frames = noise / noise.std()
+    frames[:, 12:29, 12:29] += 40 * array / np.linalg.norm(array)
+    statistics = []
+    for psf in ({'psf': array}, {'psf_sigma_px': 2.0}):
+        [found] = detect(frames, threshold=25, noise='robust', max_acceleration_px_s2=0,
+                         **psf).trajectories
+        statistics.append(found.statistic)
+    assert statistics[0] == pytest.approx(statistics[1], rel=0.01)
 
 
 def test_masked_pixels_are_left_out():

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from track_before_detect import geometry
-from track_before_detect.preprocess.resampling import warped
+from track_before_detect.preprocess.resampling import warped, warped_frames
 
 _LEAST_SHARE = 1 / 3  # of the frames must show a pixel, or nothing is known about it
 
@@ -31,7 +31,7 @@ def temporal_median(frames: NDArray) -> NDArray:
     return _sorted_median(np.moveaxis(frames, 0, -1), _LEAST_SHARE)
 
 
-def _sorted_median(values, least_share=0.0):
+def _sorted_median(values: NDArray, least_share: float = 0.0) -> NDArray:
     """Return the median over the last axis, NaN where too small a share is finite."""
     ordered = np.array(values, order='C')
     ordered[~np.isfinite(ordered)] = np.nan
@@ -67,8 +67,7 @@ def remove_temporal_median(frames: NDArray, maps: NDArray) -> NDArray:
     array, shape (T, H, W)
         Frames without background, NaN where masked or where the background is not known.
     """
-    aligned = np.stack([warped(frame, matrix)
-                        for frame, matrix in zip(frames, maps, strict=True)])
+    aligned = warped_frames(frames, maps)
     reference = aligned[len(aligned) // 2]
     for frame in aligned:
         frame -= _level(frame - reference)
@@ -114,7 +113,7 @@ def remove_spatial_median(frames: NDArray, mesh_px: int) -> NDArray:
     return residual
 
 
-def _filled(mesh):
+def _filled(mesh: NDArray) -> NDArray:
     """Return the mesh with every NaN replaced by the nearest number, or by 0 without any."""
     missing = np.isnan(mesh)
     if missing.all():
@@ -125,7 +124,7 @@ def _filled(mesh):
     return mesh[tuple(nearest)]
 
 
-def _interpolation(length, mesh_px):
+def _interpolation(length: int, mesh_px: int) -> NDArray[np.float32]:
     """Return the matrix, shape (length, cells), of linear interpolation between cell centres."""
     n_cells = -(-length // mesh_px)
     # the last cell may be cut by the border
@@ -135,7 +134,7 @@ def _interpolation(length, mesh_px):
     return np.array(columns, dtype=np.float32).T
 
 
-def _level(difference):
+def _level(difference: NDArray) -> np.floating:
     """Return the median of the finite values, 0 without any."""
     # a quarter of the pixels tells a median well enough
     part = difference[::2, ::2]

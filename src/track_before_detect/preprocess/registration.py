@@ -1,12 +1,13 @@
 """Where the scene is in each frame: its shift found by correlation, and maps that start from it.
 
 The camera moves, the scene with it: a point of the scene at position ``p`` of the reference frame
-is at ``maps[t]`` of ``p`` in frame t. Without turns and zooms of the camera that is a shift; the
-module ``alignment`` finds the rest.
+is at ``maps[t]`` of ``p`` in frame t. Without turns and zooms of the camera that is a shift, found
+by correlation; Gauss-Newton steps find the rest.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 import dataclasses
 from dataclasses import dataclass
 
@@ -14,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect import geometry
-from track_before_detect.preprocess.alignment import align
-from track_before_detect.preprocess.correlation import CREDIBLE, features_of, match
+from track_before_detect.preprocess.registration_correlation import CREDIBLE, features_of, match
+from track_before_detect.preprocess.registration_gauss_newton import align
 from track_before_detect.preprocess.resampling import warped
 
 _MOST_UNCERTAIN_PX = 0.5  # at a corner, of a map that is believed
@@ -114,7 +115,8 @@ class _Placed:
     refined: bool = True
 
 
-def _shifted(features, maps, key, last, index, _=None):
+def _shifted(features: Sequence[NDArray], maps: NDArray, key: int, last: int, index: int,
+             _: str = '') -> _Placed:
     """Find the shift of a frame against the key frame, or against the last one placed."""
     height, width = features[index].shape[1:]
     guess = np.rint(maps[last, :2, 2] - maps[key, :2, 2]).astype(int)
@@ -127,7 +129,8 @@ def _shifted(features, maps, key, last, index, _=None):
     return _Placed(geometry.translations(found.shift[None])[0], found.peak, key)
 
 
-def _aligned(features, maps, key, last, index, model):
+def _aligned(features: Sequence[NDArray], maps: NDArray, key: int, last: int, index: int,
+             model: str) -> _Placed:
     """Find the map from the key frame, or from the last one placed, to a frame."""
     unmoved = np.zeros(2, dtype=int)
     found = match(features[last], features[index], unmoved)
@@ -149,7 +152,7 @@ def _aligned(features, maps, key, last, index, model):
     return _Placed(shift, found.peak, last, refined=False)
 
 
-def _common_share(matrix, shape):
+def _common_share(matrix: NDArray, shape: tuple[int, int]) -> float:
     """Return the share of an image's pixels that are still inside after a map."""
     rows, columns = (np.linspace(0, size - 1, 16) for size in shape)
     points = np.stack(np.meshgrid(columns, rows), axis=-1)

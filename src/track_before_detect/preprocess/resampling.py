@@ -23,11 +23,16 @@ def warped(image: NDArray, matrix: NDArray) -> NDArray:
     float32 array, shape (H, W)
         NaN where the map leads outside the image.
     """
-    if np.array_equal(matrix, _IDENTITY):
+    if np.array_equal(matrix, np.eye(3)):
         return image.copy()
     moved = np.empty_like(image)
     warp_kernels.warp(np.ascontiguousarray(image), matrix, moved)
     return moved
+
+
+def warped_frames(frames: NDArray, maps: NDArray) -> NDArray:
+    """Return every frame of shape (T, H, W) as it is seen through its own map (3, 3)."""
+    return np.stack([warped(frame, matrix) for frame, matrix in zip(frames, maps, strict=True)])
 
 
 def shift_whole(frame: NDArray, offset: NDArray) -> NDArray:
@@ -54,6 +59,3 @@ def shift_whole(frame: NDArray, offset: NDArray) -> NDArray:
         moved[rows, columns] = frame[rows.start + y:rows.stop + y,
                                      columns.start + x:columns.stop + x]
     return moved
-
-
-_IDENTITY = np.eye(3)

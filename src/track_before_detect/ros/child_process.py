@@ -37,10 +37,10 @@ class ChildProcess:
         self._environment = environment or {}
         self._process: subprocess.Popen | None = None
 
-    def __enter__(self):
+    def __enter__(self) -> ChildProcess:
         return self
 
-    def __exit__(self, *_):
+    def __exit__(self, *_: object) -> None:
         if self._process is not None:
             self.stop()
 

@@ -7,7 +7,7 @@ the right, y down, z = 0.
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 import math
 from typing import Any
 
@@ -248,38 +248,38 @@ def markers_from_trajectories(
     return MarkerArray(markers=markers)
 
 
-def _octets(values):
+def _octets(values: NDArray) -> array:
     # rclpy checks other types item by item, and in the constructor even this one.
     octets = array('B')
     octets.frombytes(values.tobytes())
     return octets
 
 
-def _present(trajectory):
+def _present(trajectory: Trajectory) -> Iterator[tuple[int, NDArray]]:
     """Yield row number and position of every frame the target is present in."""
     for row, position in enumerate(trajectory.positions):
         if np.isfinite(position).all():
             yield row, position
 
 
-def _stamp(trajectory, row, stamps):
+def _stamp(trajectory: Trajectory, row: int, stamps: Mapping[int, Time] | None) -> Time:
     index = int(trajectory.frame_indices[row])
     if stamps is not None and index in stamps:
         return stamps[index]
     return time_from_seconds(float(trajectory.stamps[row]))
 
 
-def _point(position):
+def _point(position: Sequence[float] | NDArray) -> Point:
     return Point(x=float(position[0]), y=float(position[1]), z=0.0)
 
 
-def _pose(position, stamp, frame_id):
+def _pose(position: NDArray, stamp: Time, frame_id: str) -> PoseStamped:
     pose = PoseStamped(header=Header(stamp=stamp, frame_id=frame_id))
     pose.pose.position = _point(position)
     pose.pose.orientation.w = 1.0
     return pose
 
 
-def _colour(identity):
+def _colour(identity: int) -> ColorRGBA:
     red, green, blue = (channel / 255 for channel in colour_of(identity))
     return ColorRGBA(r=red, g=green, b=blue, a=1.0)

@@ -8,8 +8,8 @@ searched at once.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from copy import copy
-import math
 import os
 import signal
 import sys
@@ -17,12 +17,19 @@ import threading
 import time
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
+from numpy.typing import NDArray
 import rclpy
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.event_handler import (
+    QoSMessageLostInfo,
+    QoSRequestedIncompatibleQoSInfo,
+    SubscriptionEventCallbacks,
+)
 from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.node import Node
+from rclpy.publisher import Publisher
 from rclpy.qos import (
     qos_policy_name_from_kind,
     QoSDurabilityPolicy,
@@ -36,8 +43,11 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from track_before_detect.errors import TbdError
+from track_before_detect.options import DetectorOptions
 from track_before_detect.recordings.overlay import render_overlay
 from track_before_detect.ros import conversions
+from track_before_detect.ros.diagnostics import diagnostics_message, Reception, Warnings
+from track_before_detect.ros.frame_queue import StreamSettings
 from track_before_detect.ros.parameters import (
     NodeParameter,
     option_parameters,
@@ -48,7 +58,6 @@ from track_before_detect.ros.running import run
 from track_before_detect.ros.worker import (
     DEFAULT_BATCH_LENGTH,
     StreamResult,
-    StreamSettings,
     StreamWorker,
 )
 from track_before_detect.tracking.pipeline import TrackingPipeline
@@ -56,7 +65,6 @@ from track_before_detect.tracking.pipeline import TrackingPipeline
 INPUT_DEPTH = 20
 OUTPUT_DEPTH = 50
 DIAGNOSTICS_PERIOD_S = 1.0
-WARNING_PERIOD_S = 5.0
 PROGRESS_PERIOD_S = 2.0
 LIFETIME_BATCHES = 3.0
 STOP_TIMEOUT_S = 3.0
@@ -101,46 +109,41 @@ class DetectorNode(ParameterizedNode):
         self._lock = threading.Lock()
         self._shown: set[int] = set()
         self._last_header = Header()
-        self._warned_at: dict[str, float] = {}
-        self._last_warning = ''
-        self._last_warning_s = -math.inf
+        self._warnings = Warnings()
+        self._reception = Reception()
         self._logged_state = ('', 0.0)
-        self._n_incompatible = 0
-        self._n_lost = 0
         self._create_outputs()
         self._create_inputs()
         self.refuse_unknown_parameters()
         values = self.values()
         shape = (values['frame_height'], values['frame_width'])
         rate = values['frame_rate_hz']
-        settings = _settings(values)
-        self._hop = settings.hop
         known = min(shape) > 0 and rate > 0.0
         self._worker = StreamWorker(
-            _options(values), settings,
+            *self._checked,
             expected_shape=shape if known else None,
             expected_interval_s=1.0 / rate if known else None,
             on_result=self._publish, on_reset=self._clear_markers, on_state=self._state_changed,
             on_warning=self._warn)
         self._worker.start()
 
-    def check_values(self, values):
+    def check_values(self, values: Mapping[str, Any]) -> None:
         """Raise ParameterError when options do not go together, or not with the detector."""
-        TrackingPipeline(_options(values))
+        checked = _options_and_settings(values)
+        TrackingPipeline(checked[0])
+        # Kept, so that the files that options name are not read again for what comes next.
+        self._checked = checked
 
-    def on_change(self, names):
+    def on_change(self, names: list[str]) -> None:
         """Hand changed parameters to the worker, which uses them from the next batch on."""
         self.get_logger().info(f'changed: {", ".join(names)}; in effect from the next batch on')
-        values = self.values()
-        settings = _settings(values)
-        self._hop = settings.hop
-        self._worker.configure(_options(values), settings)
+        self._worker.queue.configure(*self._checked)
 
     def stop(self) -> bool:
         """Stop the worker; return whether it stopped in time."""
         return self._worker.stop(STOP_TIMEOUT_S)
 
-    def _create_inputs(self):
+    def _create_inputs(self) -> None:
         reliability = (QoSReliabilityPolicy.RELIABLE if self.values()['reliable']
                        else QoSReliabilityPolicy.BEST_EFFORT)
         qos = QoSProfile(depth=INPUT_DEPTH, reliability=reliability,
@@ -153,8 +156,8 @@ class DetectorNode(ParameterizedNode):
                     kind, topic, callback, qos, event_callbacks=self._event_callbacks(topic),
                     qos_overriding_options=QoSOverridingOptions.with_default_policies())
 
-    def _create_outputs(self):
-        def publisher(kind, topic):
+    def _create_outputs(self) -> None:
+        def publisher(kind: type, topic: str) -> Publisher:
             return self.create_publisher(kind, topic, OUTPUT_DEPTH)
         self._markers = publisher(MarkerArray, 'trajectories/markers')
         self._paths = publisher(Path, 'trajectories/path')
@@ -166,17 +169,17 @@ class DetectorNode(ParameterizedNode):
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def _event_callbacks(self, topic):
-        def incompatible(event):
-            self._n_incompatible += event.total_count_change
+    def _event_callbacks(self, topic: str) -> SubscriptionEventCallbacks:
+        def incompatible(event: QoSRequestedIncompatibleQoSInfo) -> None:
+            self._reception.n_incompatible += event.total_count_change
             policy = qos_policy_name_from_kind(event.last_policy_kind)
             self._warn(f'qos {topic}', (
                 f'a publisher on {topic!r} offers a quality of service ({policy}) that this '
                 'node cannot take, so nothing is received from it; set the parameter reliable '
                 'to what the publisher offers'))
 
-        def lost(event):
-            self._n_lost += event.total_count_change
+        def lost(event: QoSMessageLostInfo) -> None:
+            self._reception.n_lost += event.total_count_change
             self._warn(f'lost {topic}', f'{event.total_count} messages on {topic!r} were lost')
 
         return SubscriptionEventCallbacks(incompatible_qos=incompatible, message_lost=lost)
@@ -188,17 +191,21 @@ class DetectorNode(ParameterizedNode):
         header = Header(stamp=self.get_clock().now().to_msg())
         self._take(lambda: conversions.frame_from_multiarray(message), header)
 
-    def _take(self, convert, header):
+    def _take(self, convert: Callable[[], NDArray], header: Header) -> None:
         try:
             pixels = convert()
         except TbdError as error:
-            self._worker.refuse()
+            self._worker.queue.refuse_message()
             self._warn('message', f'message refused: {error}')
             return
-        self._worker.put(pixels, conversions.seconds_from_time(header.stamp), header)
+        queue = self._worker.queue
+        if queue.put(pixels, conversions.seconds_from_time(header.stamp), header):
+            self._warn('dropped', (
+                f'searching cannot keep up: {queue.counters.dropped} of '
+                f'{queue.counters.received} frames were dropped so far'))
 
-    def _flush(self, _request, response):
-        self._worker.flush()
+    def _flush(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
+        self._worker.queue.flush()
         response.success = True
         response.message = 'the frames that were in no batch yet are being searched'
         return response
@@ -207,7 +214,8 @@ class DetectorNode(ParameterizedNode):
         trajectories = result.detection.trajectories
         header = result.tags[int(result.batch.frame_indices[-1])]
         stamps = {index: tag.stamp for index, tag in result.tags.items()}
-        lifetime_s = LIFETIME_BATCHES * self._hop * (result.interval_s or 1.0)
+        _, settings = self._checked
+        lifetime_s = LIFETIME_BATCHES * settings.hop * (result.interval_s or 1.0)
         with self._lock:
             shown = {trajectory.id for trajectory in trajectories}
             ended, self._shown = self._shown - shown, shown
@@ -221,7 +229,7 @@ class DetectorNode(ParameterizedNode):
             pixels = render_overlay(result.batch.frames[-1], trajectories)
             self._send(self._overlay, conversions.image_from_colours(pixels, header))
 
-    def _send(self, publisher, message):
+    def _send(self, publisher: Publisher, message: Any) -> None:
         try:
             publisher.publish(message)
         except (RCLError, InvalidHandle):
@@ -251,75 +259,36 @@ class DetectorNode(ParameterizedNode):
         self._publish_diagnostics()
 
     def _warn(self, kind: str, text: str) -> None:
-        """Log a warning, of each kind at most one in a few seconds."""
-        now_s = time.monotonic()
+        """Show a warning in the diagnostics, and log it unless its kind was logged just now."""
         with self._lock:
-            self._last_warning, self._last_warning_s = text, now_s
-            if now_s - self._warned_at.get(kind, -math.inf) < WARNING_PERIOD_S:
-                return
-            self._warned_at[kind] = now_s
-        self.get_logger().warning(text)
+            is_new = self._warnings.add(kind, text)
+        if is_new:
+            self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
-        status, counters = copy(self._worker.status), copy(self._worker.counters)
-        recently = time.monotonic() - self._last_warning_s < WARNING_PERIOD_S
-        level = DiagnosticStatus.OK
-        if status.state == 'failed':
-            level = DiagnosticStatus.ERROR
-        elif recently:
-            level = DiagnosticStatus.WARN
-        values: dict[str, Any] = {
-            'state': status.state,
-            'detail': status.detail,
-            'frame_size': '' if status.shape is None else f'{status.shape[0]} x {status.shape[1]}',
-            'searching': str(status.searching).lower(),
-            'threshold': f'{status.threshold:.4f}',
-            'processing_time_ms': f'{1e3 * status.processing_s:.1f}',
-            'longest_processing_time_ms': f'{1e3 * status.longest_processing_s:.1f}',
-            'latency_ms': f'{1e3 * status.latency_s:.1f}',
-            'frames_received': counters.received,
-            'frames_used': counters.used,
-            'frames_waiting': self._worker.queue_size(),
-            'frames_dropped': counters.dropped,
-            'frames_refused': counters.refused,
-            'messages_lost': self._n_lost,
-            'incompatible_publishers': self._n_incompatible,
-            'window_restarts': counters.restarts,
-            'batches': counters.batches,
-            'trajectories': counters.trajectories,
-            'failures': counters.failures,
-            'last_warning': self._last_warning,
-        }
-        message = f'{status.state}: {status.detail}' if status.detail else status.state
-        message = self._last_warning if level == DiagnosticStatus.WARN else message
-        name = self.get_fully_qualified_name().lstrip('/')
-        self._send(self._diagnostics, DiagnosticArray(
-            header=Header(stamp=self.get_clock().now().to_msg()),
-            status=[DiagnosticStatus(
-                level=level, name=name, message=message, hardware_id='',
-                values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])]))
+        queue = self._worker.queue
+        self._send(self._diagnostics, diagnostics_message(
+            self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(),
+            copy(self._worker.status), copy(queue.counters), len(queue), self._reception,
+            self._warnings))
 
 
-def _options(values):
-    """Return the options of the detector, nothing left automatic that cuts the stream."""
+def _options_and_settings(values: Mapping[str, Any]) -> tuple[DetectorOptions, StreamSettings]:
+    """Return the options of the detector and how to cut and buffer the stream, none automatic."""
     length = values['batch_length'] or DEFAULT_BATCH_LENGTH
-    return options_from_parameters(PARAMETERS, {
-        **values, 'batch_length': length, 'hop': values['hop'] or max(1, length // 2)})
-
-
-def _settings(values):
-    """Return how to cut and buffer the stream."""
-    options = _options(values)
-    length = options.batch_length
-    return StreamSettings(
-        batch_length=length, hop=options.hop, max_gap_s=values['max_gap_s'] or None,
+    hop = values['hop'] or max(1, length // 2)
+    options = options_from_parameters(
+        PARAMETERS, {**values, 'batch_length': length, 'hop': hop})
+    return options, StreamSettings(
+        batch_length=length, hop=hop, max_gap_s=values['max_gap_s'] or None,
         queue_length=values['queue_length'] or 2 * length,
         flush_after_s=values['flush_after_s'] or None)
 
 
-def _spin(node):
+def spin_and_stop(node: DetectorNode, spin: Callable[[Node], None] = rclpy.spin) -> None:
+    """Spin a node until it is interrupted, and wait for its search to stop."""
     try:
-        rclpy.spin(node)
+        spin(node)
     finally:
         # The second interrupt under ros2 launch must not cut the wait for the search short.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -331,7 +300,7 @@ def _spin(node):
 
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
-    return run('detector', DetectorNode, _spin, args)
+    return run('detector', DetectorNode, spin_and_stop, args)
 
 
 if __name__ == '__main__':

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 import rclpy
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks
+from rclpy.event_handler import PublisherEventCallbacks, QoSOfferedIncompatibleQoSInfo
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import (
     qos_policy_name_from_kind,
@@ -125,7 +125,7 @@ class FramePublisherNode(ParameterizedNode):
             self._recording.close()
         super().destroy_node()
 
-    def _open(self):
+    def _open(self) -> None:
         values = self.values()
         self._frames: Recording | NDArray
         self._truth: NDArray | None
@@ -164,7 +164,7 @@ class FramePublisherNode(ParameterizedNode):
             return np.arange(len(self._stamps)) / self._rate_hz
         return self._stamps - self._stamps[0]
 
-    def _rate_text(self):
+    def _rate_text(self) -> str:
         if self._rate_hz:
             return f'{self._rate_hz:g} frames per second'
         if self._recording is not None and not self._recording.stamps_known:
@@ -172,7 +172,7 @@ class FramePublisherNode(ParameterizedNode):
         duration = self._offsets[-1]
         return f'over {duration:.2f} s as recorded'
 
-    def _create_outputs(self):
+    def _create_outputs(self) -> None:
         values = self.values()
         reliability = (QoSReliabilityPolicy.RELIABLE if values['reliable']
                        else QoSReliabilityPolicy.BEST_EFFORT)
@@ -180,7 +180,7 @@ class FramePublisherNode(ParameterizedNode):
                          durability=QoSDurabilityPolicy.VOLATILE)
         kind, topic = (Image, 'image') if self._as_image else (Float32MultiArray, 'frame')
 
-        def incompatible(event):
+        def incompatible(event: QoSOfferedIncompatibleQoSInfo) -> None:
             policy = qos_policy_name_from_kind(event.last_policy_kind)
             self.get_logger().warning(
                 f'a subscriber of {topic!r} asks for a quality of service ({policy}) that is not '
@@ -200,7 +200,7 @@ class FramePublisherNode(ParameterizedNode):
             depth=max(1, len(self._truth_rows)), reliability=QoSReliabilityPolicy.RELIABLE,
             durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
 
-    def _must_wait(self, now_s):
+    def _must_wait(self, now_s: float) -> bool:
         if not self._wait_for_subscriber or self._frame_publisher.get_subscription_count():
             return False
         if now_s - self._waiting_logged_s > WAITING_LOG_PERIOD_S:
@@ -209,7 +209,7 @@ class FramePublisherNode(ParameterizedNode):
                 f'waiting for a subscriber of {self._frame_publisher.topic_name}')
         return True
 
-    def _start_pass(self, now_s):
+    def _start_pass(self, now_s: float) -> None:
         self._pass_start_s = now_s
         start_s = 1e-9 * self.get_clock().now().nanoseconds + now_s - time.monotonic()
         self._pass_stamps = self._stamps if self._original_stamps else start_s + self._offsets
@@ -222,7 +222,7 @@ class FramePublisherNode(ParameterizedNode):
             self._truth_publisher.publish(conversions.path_from_positions(
                 rows[known, 2:], stamps_s, self._header(stamps_s[0])))
 
-    def _end_pass(self):
+    def _end_pass(self) -> None:
         self._next = 0
         if self._loop:
             # The first frame is due one interval after the last one.
@@ -243,11 +243,11 @@ class FramePublisherNode(ParameterizedNode):
         """Whether the process is to end now that everything was published."""
         return self.finished and self._exit_when_done
 
-    def _header(self, stamp_s):
+    def _header(self, stamp_s: float) -> Header:
         return Header(stamp=conversions.time_from_seconds(float(stamp_s)),
                       frame_id=self._frame_id)
 
-    def _publish(self, index):
+    def _publish(self, index: int) -> None:
         frame = conversions.sendable(np.asarray(self._frames[index]))
         if self._as_image:
             message = conversions.image_from_frame(frame, self._header(self._pass_stamps[index]))
@@ -257,7 +257,7 @@ class FramePublisherNode(ParameterizedNode):
         self._n_published += 1
 
 
-def _spin(node):
+def _spin(node: FramePublisherNode) -> None:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     while rclpy.ok() and not node.exits:

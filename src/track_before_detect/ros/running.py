@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 import signal
 import sys
+from typing import TypeVar
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -17,8 +18,10 @@ from track_before_detect.errors import TbdError
 EXIT_DONE = 0
 EXIT_BAD_INPUT = 2
 
+AnyNode = TypeVar('AnyNode', bound=Node)
 
-def run(name: str, make_node: Callable[[], Node], spin: Callable[[Node], None],
+
+def run(name: str, make_node: Callable[[], AnyNode], spin: Callable[[AnyNode], None],
         args: list[str] | None = None) -> int:
     """Run a node until it is done or interrupted.
 
@@ -63,7 +66,7 @@ def run(name: str, make_node: Callable[[], Node], spin: Callable[[Node], None],
     return EXIT_DONE
 
 
-def _init(args):
+def _init(args: list[str] | None) -> None:
     try:
         rclpy.init(args=args)
     except RuntimeError as error:

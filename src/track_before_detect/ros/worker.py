@@ -1,8 +1,10 @@
-"""The thread between intake and output: window, pipeline, counters. No ROS types in here."""
+"""The search thread: frames from the queue to the window, batches to the pipeline.
+
+No ROS types in here.
+"""
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 import logging
@@ -11,10 +13,10 @@ import time
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from track_before_detect.errors import TbdError
 from track_before_detect.options import DetectorOptions
+from track_before_detect.ros.frame_queue import FrameQueue, StreamFrame, StreamSettings
 from track_before_detect.tracking.batcher import Outcome, SlidingWindow
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.types import DetectionResult, FrameBatch
@@ -26,55 +28,6 @@ DEFAULT_BATCH_LENGTH = 20
 FRAMES_TO_LEARN = 3
 AUTOMATIC_FLUSH_INTERVALS = 5
 AUTOMATIC_FLUSH_MINIMUM_S = 1.0
-
-
-@dataclass(frozen=True)
-class StreamFrame:
-    """One frame on its way to the search.
-
-    Attributes
-    ----------
-    pixels : array, shape (H, W)
-        Native byte order.
-    stamp_s : float
-        Seconds.
-    tag : object
-        Comes back with the results that contain the frame: the message's header.
-    arrival_s : float
-        Monotonic clock at intake.
-    index : int
-        Number of the frame in the stream.
-    """
-
-    pixels: NDArray
-    stamp_s: float
-    tag: Any
-    arrival_s: float
-    index: int
-
-
-@dataclass(frozen=True)
-class StreamSettings:
-    """How the stream is cut and buffered.
-
-    Attributes
-    ----------
-    batch_length, hop : int
-        Frames.
-    max_gap_s : float or None
-        Longest pause within a batch; None is the duration of a batch.
-    queue_length : int
-        Frames waiting at most while a batch is searched; the oldest are dropped.
-    flush_after_s : float or None
-        Idle time after which frames that were in no batch yet are searched all the same; None
-        is five frame intervals, at least a second.
-    """
-
-    batch_length: int
-    hop: int
-    max_gap_s: float | None
-    queue_length: int
-    flush_after_s: float | None
 
 
 @dataclass(frozen=True)
@@ -100,26 +53,11 @@ class StreamResult:
 
 
 @dataclass
-class Counters:
-    """What happened so far; frames are counted once, as used, refused or dropped."""
-
-    received: int = 0
-    used: int = 0
-    refused: int = 0
-    dropped: int = 0
-    restarts: int = 0
-    batches: int = 0
-    trajectories: int = 0
-    failures: int = 0
-
-
-@dataclass
 class Status:
     """Where the worker is, for diagnostics."""
 
     state: str = 'waiting for frames'
     detail: str = ''
-    progress: float = 0.0
     threshold: float = float('nan')
     processing_s: float = 0.0
     longest_processing_s: float = 0.0
@@ -134,8 +72,6 @@ class _StopRequestedError(Exception):
 
 class StreamWorker:
     """Search a stream of frames in a thread of its own.
-
-    Intake never waits: frames go to a bounded queue from which the oldest are dropped.
 
     Parameters
     ----------
@@ -156,6 +92,15 @@ class StreamWorker:
         Takes nothing; :attr:`status` has changed.
     on_warning : callable
         Takes a kind, for throttling, and a sentence.
+    make_pipeline : callable
+        Takes options and the pipeline before, or None; returns what searches the batches.
+
+    Attributes
+    ----------
+    queue : FrameQueue
+        Takes frames, changes of settings and flushes.
+    status : Status
+        Where the search is.
     """
 
     def __init__(self, options: DetectorOptions, settings: StreamSettings, *,
@@ -164,29 +109,28 @@ class StreamWorker:
                  on_result: Callable[[StreamResult], None],
                  on_reset: Callable[[], None],
                  on_state: Callable[[], None],
-                 on_warning: Callable[[str, str], None]):
-        self.counters = Counters()
+                 on_warning: Callable[[str, str], None],
+                 make_pipeline: Callable[
+                     [DetectorOptions, TrackingPipeline | None], TrackingPipeline]
+                 = TrackingPipeline) -> None:
+        self.queue = FrameQueue(settings.queue_length)
         self.status = Status()
+        self._counters = self.queue.counters
         self._on_result = on_result
         self._on_reset = on_reset
         self._on_state = on_state
         self._on_warning = on_warning
+        self._make_pipeline = make_pipeline
         self._options = options
         self._settings = settings
         self._expected = (expected_shape, expected_interval_s)
-        self._pipeline = TrackingPipeline(options)
+        self._pipeline = make_pipeline(options, None)
         self._window = SlidingWindow(settings.batch_length, settings.hop, settings.max_gap_s)
         self._prepared_for: tuple[int, int] | None = None
         self._failed_for: tuple[int, int] | None = None
         self._ready_text = ''
-        self._tags: dict[int, Any] = {}
+        self._held: dict[int, StreamFrame] = {}
         self._last_arrival_s = 0.0
-        self._changed = threading.Condition()
-        # The queue and what follows are guarded by the condition's lock.
-        self._queue: deque[StreamFrame] = deque()
-        self._pending: tuple[DetectorOptions, StreamSettings] | None = None
-        self._flush_asked = False
-        self._stopping = False
         self._thread = threading.Thread(target=self._run, name='search', daemon=True)
 
     def start(self) -> None:
@@ -195,57 +139,20 @@ class StreamWorker:
 
     def stop(self, timeout_s: float) -> bool:
         """Ask the thread to end; return whether it did in time."""
-        with self._changed:
-            self._stopping = True
-            self._changed.notify()
+        self.queue.close()
         self._thread.join(timeout_s)
         return not self._thread.is_alive()
 
-    def put(self, pixels: NDArray, stamp_s: float, tag: Any) -> None:
-        """Take in one frame, shape (H, W); drop the oldest waiting one when there is no room."""
-        with self._changed:
-            frame = StreamFrame(
-                pixels, stamp_s, tag, time.monotonic(), self.counters.received)
-            self.counters.received += 1
-            self._queue.append(frame)
-            n_dropped = 0
-            while len(self._queue) > self._settings.queue_length:
-                self._queue.popleft()
-                n_dropped += 1
-            self.counters.dropped += n_dropped
-            self._changed.notify()
-        if n_dropped:
-            self._on_warning('dropped', (
-                f'searching cannot keep up: {self.counters.dropped} of {self.counters.received} '
-                'frames were dropped so far'))
-
-    def refuse(self) -> None:
-        """Count a message that could not be turned into a frame."""
-        with self._changed:
-            self.counters.received += 1
-            self.counters.refused += 1
-
-    def configure(self, options: DetectorOptions, settings: StreamSettings) -> None:
-        """Use other options and settings from the next batch on."""
-        with self._changed:
-            self._pending = (options, settings)
-            self._changed.notify()
-
-    def flush(self) -> None:
-        """Have the frames that were in no batch yet searched now, those waiting included."""
-        with self._changed:
-            self._flush_asked = True
-            self._changed.notify()
-
-    def queue_size(self) -> int:
-        """Return the number of waiting frames."""
-        return len(self._queue)
-
-    def _run(self):
+    def _run(self) -> None:
         try:
-            self._prepare_expected()
-            while self._step():
-                pass
+            self._prepare_or_wait(*self._expected)
+            while (work := self.queue.take(self._idle_time_left())) is not None:
+                if work.changes is not None:
+                    self._reconfigure(*work.changes)
+                elif work.frame is not None:
+                    self._take(work.frame)
+                elif work.flush or self._idle_time_left() == 0.0:
+                    self._search(self._window.flush())
         except _StopRequestedError:
             pass
         except Exception:
@@ -254,29 +161,7 @@ class StreamWorker:
             self._set_state('failed', 'the search thread has ended; see the log')
             raise
 
-    def _step(self):
-        """Do the next thing; return False when asked to stop."""
-        with self._changed:
-            self._changed.wait_for(self._has_work, self._idle_time_left())
-            if self._stopping:
-                return False
-            pending, self._pending = self._pending, None
-            frame = self._queue.popleft() if pending is None and self._queue else None
-            flush = False
-            if pending is None and frame is None:
-                flush, self._flush_asked = self._flush_asked, False
-        if pending is not None:
-            self._reconfigure(*pending)
-        elif frame is not None:
-            self._take(frame)
-        elif flush or self._idle_time_left() == 0.0:
-            self._search(self._window.flush())
-        return True
-
-    def _has_work(self):
-        return bool(self._stopping or self._queue or self._pending or self._flush_asked)
-
-    def _idle_time_left(self):
+    def _idle_time_left(self) -> float | None:
         """Return the seconds until held frames are searched without waiting for more."""
         if not self._window.n_new:
             return None
@@ -286,23 +171,24 @@ class StreamWorker:
                        * (self._window.median_interval_s or 0.0))
         return max(0.0, self._last_arrival_s + idle - time.monotonic())
 
-    def _take(self, frame):
+    def _take(self, frame: StreamFrame) -> None:
+        """Add a frame to the window, and search the batch that this completes."""
         self._last_arrival_s = time.monotonic()
         if not np.isfinite(frame.pixels).any():
-            self._count_refused()
+            self.queue.refuse()
             self._on_warning('not finite', 'expected finite pixels, found none in the frame')
             return
         intake = self._window.add(frame.pixels, frame.stamp_s, frame.index)
         if intake.outcome is Outcome.REFUSED:
-            self._count_refused()
+            self.queue.refuse()
             self._on_warning('refused', f'frame refused: {intake.reason}')
             return
-        self.counters.used += 1
-        self._tags[frame.index] = (frame.tag, frame.arrival_s)
-        if len(self._tags) > self._settings.batch_length + 1:
-            del self._tags[min(self._tags)]
+        self._counters.used += 1
+        self._held[frame.index] = frame
+        while len(self._held) > self._settings.batch_length + 1:
+            del self._held[min(self._held)]
         if intake.outcome is not Outcome.ACCEPTED:
-            self.counters.restarts += 1
+            self._counters.restarts += 1
             self._on_warning(intake.outcome.value, f'the window starts again: {intake.reason}')
         self._search(intake.batch)
         if intake.outcome is not Outcome.ACCEPTED:
@@ -314,7 +200,8 @@ class StreamWorker:
         if self._prepared_for != frame.pixels.shape and len(self._window) >= FRAMES_TO_LEARN:
             self._prepare(frame.pixels.shape, self._window.median_interval_s)
 
-    def _search(self, batch):
+    def _search(self, batch: FrameBatch | None) -> None:
+        """Search a batch, if there is one, and hand on what was found."""
         if batch is None:
             return
         shape = batch.frames.shape[1:]
@@ -336,29 +223,30 @@ class StreamWorker:
         if self.status.state != 'ready':
             self._set_state('ready', self._ready_text)
         self.status.shape = shape
-        self.counters.batches += 1
-        self.counters.trajectories += len(detection.trajectories)
-        tags = {int(index): self._tags[int(index)][0] for index in batch.frame_indices}
+        self._counters.batches += 1
+        self._counters.trajectories += len(detection.trajectories)
+        frames = {int(index): self._held[int(index)] for index in batch.frame_indices}
+        tags = {index: frame.tag for index, frame in frames.items()}
         try:
             self._on_result(StreamResult(detection, batch, tags, interval_s))
         except Exception as error:
             self._failed('the result could not be handed on', error)
         finished = time.monotonic()
-        newest = int(batch.frame_indices[-1])
+        newest = frames[int(batch.frame_indices[-1])]
         self.status.processing_s = finished - started
         self.status.longest_processing_s = max(
             self.status.longest_processing_s, finished - started)
-        self.status.latency_s = finished - self._tags[newest][1]
+        self.status.latency_s = finished - newest.arrival_s
         self.status.threshold = detection.threshold
 
-    def _prepare_expected(self):
-        shape, interval_s = self._expected
+    def _prepare_or_wait(self, shape: tuple[int, int] | None, interval_s: float | None) -> None:
+        """Prepare the search for frames of a size, if it is known."""
         if shape is not None:
             self._prepare(shape, interval_s)
         else:
             self._set_state('waiting for frames', 'size and rate are learnt from the first ones')
 
-    def _prepare(self, shape, interval_s):
+    def _prepare(self, shape: tuple[int, int], interval_s: float | None) -> bool:
         """Compile and calibrate for frames of a size; return whether that worked."""
         if self._failed_for == shape:
             return False
@@ -384,13 +272,13 @@ class StreamWorker:
         self._set_state('ready', self._ready_text)
         return True
 
-    def _progress(self, label, done):
-        if self._stopping:
+    def _progress(self, label: str, done: float) -> None:
+        if self.queue.closed:
             raise _StopRequestedError
-        self.status.progress = done
         self._set_state(label, f'{100.0 * done:.0f} %')
 
-    def _reconfigure(self, options, settings):
+    def _reconfigure(self, options: DetectorOptions, settings: StreamSettings) -> None:
+        """Use other options and settings from the next batch on."""
         same_window = (settings.batch_length, settings.hop, settings.max_gap_s) == (
             self._settings.batch_length, self._settings.hop, self._settings.max_gap_s)
         if not same_window:
@@ -398,28 +286,22 @@ class StreamWorker:
             self._window = SlidingWindow(settings.batch_length, settings.hop, settings.max_gap_s)
         rebuild = options != self._options or settings.batch_length != self._settings.batch_length
         self._options, self._settings = options, settings
+        self.queue.length = settings.queue_length
         if not rebuild:
             return
         shape, interval_s = self._window.shape, self._window.median_interval_s
         if shape is None or interval_s is None:
             shape, interval_s = self._expected
-        self._pipeline = TrackingPipeline(options, self._pipeline)
+        self._pipeline = self._make_pipeline(options, self._pipeline)
         self._prepared_for = self._failed_for = None
-        if shape is not None:
-            self._prepare(shape, interval_s)
-        else:
-            self._set_state('waiting for frames', 'size and rate are learnt from the first ones')
+        self._prepare_or_wait(shape, interval_s)
 
-    def _count_refused(self):
-        with self._changed:
-            self.counters.refused += 1
-
-    def _failed(self, what, error):
-        self.counters.failures += 1
+    def _failed(self, what: str, error: Exception) -> None:
+        self._counters.failures += 1
         if not isinstance(error, TbdError):
             logger.debug('%s', what, exc_info=error)
         self._on_warning('failure', f'{what}: {type(error).__name__}: {error}')
 
-    def _set_state(self, state, detail):
+    def _set_state(self, state: str, detail: str) -> None:
         self.status.state, self.status.detail = state, detail
         self._on_state()

@@ -12,7 +12,8 @@ from track_before_detect.checks import checked_stamps
 from track_before_detect.errors import DataError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
-from track_before_detect.preprocess.chain import prepare, PreparedBatch
+from track_before_detect.preprocess.prepare import prepare, PreparedBatch
+from track_before_detect.preprocess.robust import median_deviation
 from track_before_detect.solvers.batch_detector import BatchDetector, FoundTrajectory
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
@@ -108,7 +109,7 @@ class TrackingPipeline:
             in the batches before.
         """
         _check(batch)
-        prepared = prepare(batch, self._options)
+        prepared = prepare(batch, self._options, psf_of(self._options).width_px)
         self._check_scale(prepared.frames[len(batch) // 2])
         earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
         result = self._detector.detect(
@@ -147,7 +148,7 @@ class TrackingPipeline:
         if np.iscomplexobj(pixels):
             pixels = pixels.real * 2**0.5
         middle = float(np.median(pixels))
-        spread = 1.4826 * float(np.median(np.abs(pixels - middle)))
+        spread = median_deviation(pixels - middle)
         if max(spread, abs(middle)) > MOST_SPREAD:
             _LOG.warning(
                 'the pixels have a median of %.3g and a spread of %.3g, where noise=none takes a '

@@ -9,7 +9,7 @@ from track_before_detect import geometry
 from track_before_detect.capabilities import check_options
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.preprocess.chain import prepare, PreparedBatch
+from track_before_detect.preprocess.prepare import prepare, PreparedBatch
 from track_before_detect.solvers.batch_detector import FoundTrajectory
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
@@ -86,9 +86,9 @@ class SensorPipeline:
         own = FrameBatch(
             batch.frames[rows, :height, :width] / np.float32(array.noise_sigmas[sensor]),
             batch.stamps[rows], array.row[batch.frame_indices[rows]])
-        sigma = min(max(array.measurement.psfs[sensor].width_px, 0.3), 20.0)
-        return prepare(own, self._options.replace(
-            psf_sigma_px=sigma, variance=array.variances[sensor], mask=array.masks[sensor]))
+        options = self._options.replace(variance=array.variances[sensor],
+                                        mask=array.masks[sensor])
+        return prepare(own, options, array.measurement.psfs[sensor].width_px)
 
     def _on_plane(self, found: FoundTrajectory, units: NDArray, batch: FrameBatch) -> Trajectory:
         """Return a trajectory on the plane, amplitudes in the units of each frame's sensor."""

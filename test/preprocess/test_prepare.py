@@ -13,7 +13,7 @@ from scipy import ndimage
 from track_before_detect import geometry
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.preprocess.chain import prepare
+from track_before_detect.preprocess.prepare import prepare
 from track_before_detect.types import FrameBatch
 
 REGISTRATIONS = ('none', 'translation', 'affine', 'homography')
@@ -26,9 +26,13 @@ def batch_of(frames):
     return FrameBatch(frames, np.arange(n_frames) / 25, np.arange(n_frames) + 100)
 
 
+def prepared_from(frames, width_px=1.0, **options):
+    return prepare(batch_of(frames), DetectorOptions.from_mapping(options), width_px)
+
+
 def test_nothing_asked_for_passes_the_frames_on():
     frames = np.random.default_rng(0).normal(5, 2, (4, 10, 12))
-    prepared = prepare(batch_of(frames), DetectorOptions())
+    prepared = prepared_from(frames)
     np.testing.assert_array_equal(prepared.frames, frames.astype(np.float32))
     assert prepared.frames.dtype == np.float32
     assert prepared.noise_level.shape == (1, 1, 1) and prepared.noise_level.item() == 1
@@ -47,8 +51,7 @@ def test_every_combination_leaves_its_input_and_keeps_its_shape(steps, dtype, n_
         frames[rng.random(frames.shape) < 0.02] = rng.choice([np.nan, np.inf, -np.inf])
     before = frames.copy()
     registration, background, noise = steps
-    prepared = prepare(batch_of(frames), DetectorOptions(
-        registration=registration, background=background, noise=noise))
+    prepared = prepared_from(frames, registration=registration, background=background, noise=noise)
     np.testing.assert_array_equal(frames, before)
     assert prepared.frames.shape == frames.shape
     assert not np.isinf(prepared.frames).any()
@@ -59,7 +62,7 @@ def test_every_combination_leaves_its_input_and_keeps_its_shape(steps, dtype, n_
 @pytest.mark.parametrize('noise', ['robust', 'map'])
 def test_frames_times_level_are_in_the_units_of_the_input(noise):
     frames = np.random.default_rng(1).normal(0, 7, (10, 64, 64))
-    prepared = prepare(batch_of(frames), DetectorOptions(noise=noise))
+    prepared = prepared_from(frames, noise=noise)
     assert prepared.frames.std() == pytest.approx(1.0, rel=0.02 if noise == 'robust' else 0.1)
     np.testing.assert_allclose(prepared.frames * prepared.noise_level, frames, rtol=1e-4)
 
@@ -67,8 +70,7 @@ def test_frames_times_level_are_in_the_units_of_the_input(noise):
 def test_noise_has_unit_deviation_after_the_background_is_off():
     rng = np.random.default_rng(2)
     frames = rng.normal(0, 3, (20, 96, 96)) + rng.uniform(0, 500, (96, 96))
-    prepared = prepare(batch_of(frames),
-                       DetectorOptions(background='temporal_median', noise='robust'))
+    prepared = prepared_from(frames, background='temporal_median', noise='robust')
     assert prepared.frames.std() == pytest.approx(1.0, rel=0.02)
 
 
@@ -80,8 +82,8 @@ def test_a_target_is_found_back_at_its_original_position():
     positions = np.array([(30 + t, 40 + 2 * t) for t in range(9)])
     for t, (x, y) in enumerate(positions):
         frames[t, y, x] += 60
-    prepared = prepare(batch_of(frames), DetectorOptions(
-        registration='translation', background='temporal_median', noise='robust'))
+    prepared = prepared_from(frames, registration='translation', background='temporal_median',
+                             noise='robust')
     np.testing.assert_allclose(prepared.maps[:, 0, 2], 8 - 2 * np.arange(9))
     for t, (x, y) in enumerate(positions):
         row, column = np.unravel_index(np.nanargmax(prepared.frames[t]), frames[t].shape)
@@ -114,8 +116,8 @@ def test_the_scene_seen_by_a_turning_camera_goes_and_the_matched_filter_has_unit
         at = geometry.apply(back, np.stack([x, y], axis=-1)) + 50
         frames.append(ndimage.map_coordinates(scene, [at[..., 1], at[..., 0]], order=3))
     frames = np.array(frames) + rng.normal(0, 2, (11, *shape))
-    prepared = prepare(batch_of(frames), DetectorOptions(
-        registration='affine', background='temporal_median', noise=noise))
+    prepared = prepared_from(frames, registration='affine', background='temporal_median',
+                             noise=noise)
     profile = np.exp(-0.5 * np.arange(-4, 5)**2)
     profile /= np.linalg.norm(profile)
     seen = prepared.frames
@@ -125,34 +127,28 @@ def test_the_scene_seen_by_a_turning_camera_goes_and_the_matched_filter_has_unit
     assert np.nanmedian(prepared.noise_level) == pytest.approx(2.0, rel=0.12)
 
 
-def test_an_array_as_psf_counts_by_its_width():
-    rng = np.random.default_rng(6)
-    frames = ndimage.gaussian_filter(rng.normal(size=(6, 64, 64)), (0, 1, 1))
-    y, x = np.mgrid[-6:7, -6:7]
-    array = np.exp(-(x**2 + y**2) / (2 * 2.0**2))
-    told = {'psf': array, 'sigma': 2.0, 'other': 1.0}
-    levels = {}
-    for name, value in told.items():
-        options = DetectorOptions.from_mapping(
-            {'noise': 'robust', 'psf' if name == 'psf' else 'psf_sigma_px': value})
-        levels[name] = float(np.mean(prepare(batch_of(frames), options).noise_level))
-    assert levels['psf'] == pytest.approx(levels['sigma'], rel=0.02)
-    assert levels['psf'] > 1.2 * levels['other']
+def test_correlated_noise_is_scaled_at_the_width_of_the_target():
+    frames = ndimage.gaussian_filter(np.random.default_rng(6).normal(size=(6, 64, 64)), (0, 1, 1))
+    for width_px in (1.0, 2.0):
+        profile = np.exp(-0.5 * (np.arange(-8, 9) / width_px)**2)
+        seen = prepared_from(frames, width_px, noise='robust').frames
+        for axis in (1, 2):
+            seen = ndimage.convolve1d(seen, profile / np.linalg.norm(profile), axis=axis)
+        assert seen.std() == pytest.approx(1.0, rel=0.1)
 
 
 def test_quantised_dark_frames_do_not_explode():
     frames = np.full((8, 32, 32), 12, np.uint8)
     frames[3, 10, 10] = 15
-    prepared = prepare(batch_of(frames), DetectorOptions(background='temporal_median',
-                                                         noise='map'))
+    prepared = prepared_from(frames, background='temporal_median', noise='map')
     assert np.nanmax(np.abs(prepared.frames)) <= 3 / 0.3 + 1e-4
 
 
 def test_a_frame_masked_entirely_stays_masked():
     frames = np.random.default_rng(4).normal(size=(6, 40, 40))
     frames[2] = np.nan
-    prepared = prepare(batch_of(frames), DetectorOptions(
-        registration='translation', background='temporal_spatial_median', noise='robust'))
+    prepared = prepared_from(frames, registration='translation',
+                             background='temporal_spatial_median', noise='robust')
     assert np.isnan(prepared.frames[2]).all()
     assert np.isfinite(prepared.frames[[0, 1, 3, 4, 5]]).mean() > 0.9
 
@@ -163,19 +159,28 @@ def test_complex_noise_gets_unit_power():
     frames[0, 0, 0] = np.nan
     clutter = 100 * rng.normal(size=(50, 50))
     for noise in ('robust', 'map'):
-        prepared = prepare(batch_of(frames + clutter),
-                           DetectorOptions(background='temporal_median', noise=noise,
-                                           amplitudes='complex'))
+        prepared = prepared_from(frames + clutter, background='temporal_median', noise=noise,
+                                 amplitudes='complex')
         assert prepared.frames.dtype == np.complex64
         assert np.isnan(prepared.frames[0, 0, 0])
         power = np.nanmean(np.abs(prepared.frames) ** 2)
         assert power == pytest.approx(1.0, rel=0.06)
 
 
+@pytest.mark.parametrize('noise', ['robust', 'map'])
+def test_masked_pixels_say_nothing_of_complex_noise(noise):
+    rng = np.random.default_rng(8)
+    frames = rng.normal(size=(24, 50, 50)) + 1j * rng.normal(size=(24, 50, 50))
+    mask = rng.random((50, 50)) < 0.3
+    prepared = prepared_from(frames, noise=noise, mask=mask, amplitudes='complex')
+    np.testing.assert_array_equal(np.isnan(prepared.frames[0]), mask)
+    assert np.nanmean(np.abs(prepared.frames) ** 2) == pytest.approx(1.0, rel=0.06)
+
+
 @pytest.mark.parametrize(('dtype', 'amplitudes'), [(complex, 'signed'), (float, 'complex')])
 def test_frames_of_another_kind_than_the_amplitudes_are_refused(dtype, amplitudes):
     with pytest.raises(DataError, match='complex'):
-        prepare(batch_of(np.zeros((3, 9, 9), dtype)), DetectorOptions(amplitudes=amplitudes))
+        prepared_from(np.zeros((3, 9, 9), dtype), amplitudes=amplitudes)
 
 
 @pytest.mark.parametrize(('frames', 'words'), [
@@ -186,12 +191,12 @@ def test_frames_of_another_kind_than_the_amplitudes_are_refused(dtype, amplitude
 ], ids=['not finite', 'one image', 'no frame', 'truth values'])
 def test_frames_that_cannot_be_used_are_refused(frames, words):
     with pytest.raises(DataError, match=words):
-        prepare(batch_of(frames), DetectorOptions())
+        prepared_from(frames)
 
 
 def test_frames_without_noise_cannot_be_scaled():
     with pytest.raises(DataError, match='noise level'):
-        prepare(batch_of(np.full((3, 8, 8), 4.0)), DetectorOptions(noise='robust'))
+        prepared_from(np.full((3, 8, 8), 4.0), noise='robust')
 
 
 @pytest.mark.parametrize('changes', [{'background': 'temporal_median'}, {'noise': 'map'}],
@@ -199,19 +204,20 @@ def test_frames_without_noise_cannot_be_scaled():
 def test_two_frames_cannot_say_what_stands_still(changes):
     frames = np.random.default_rng(0).normal(size=(2, 8, 8))
     with pytest.raises(DataError, match='at least 3 frames, got 2'):
-        prepare(batch_of(frames), DetectorOptions(**changes))
+        prepared_from(frames, **changes)
 
 
 def test_one_frame_can_be_prepared_in_space():
     frames = np.random.default_rng(0).normal(size=(1, 64, 64))
-    prepared = prepare(batch_of(frames), DetectorOptions(
-        registration='translation', background='spatial_median', noise='robust'))
+    prepared = prepared_from(frames, registration='translation', background='spatial_median',
+                             noise='robust')
     assert prepared.frames.std() == pytest.approx(1.0, rel=0.05)
 
 
 def test_too_few_stamps_are_refused():
     with pytest.raises(DataError, match='stamps'):
-        prepare(FrameBatch(np.zeros((3, 8, 8)), np.arange(2.0), np.arange(3)), DetectorOptions())
+        prepare(FrameBatch(np.zeros((3, 8, 8)), np.arange(2.0), np.arange(3)), DetectorOptions(),
+                1.0)
 
 
 def test_the_real_drone_is_the_brightest_thing_after_preparation():
@@ -220,8 +226,8 @@ def test_the_real_drone_is_the_brightest_thing_after_preparation():
         pytest.skip('needs ir_antiuav5_sky.npz in the folder named by TBD_DATA_DIR')
     with np.load(Path(folder) / 'ir_antiuav5_sky.npz') as archive:
         frames, truth = archive['frames'][100:120], archive['truth'][100:120, 2:]
-    prepared = prepare(batch_of(frames), DetectorOptions(
-        registration='translation', background='temporal_spatial_median', noise='robust'))
+    prepared = prepared_from(frames, registration='translation',
+                             background='temporal_spatial_median', noise='robust')
     for t in range(20):
         row, column = np.unravel_index(np.nanargmax(prepared.frames[t]), frames[t].shape)
         seen = geometry.apply(prepared.maps[t], np.array([column, row]))

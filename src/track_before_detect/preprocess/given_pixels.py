@@ -1,4 +1,4 @@
-"""What is told of the pixels of a batch: which are masked, and how noisy each is."""
+"""What is given of the pixels of a batch: which are masked, and how noisy each is."""
 
 from __future__ import annotations
 
@@ -31,30 +31,7 @@ def given_level(given: ArrayOption, batch: FrameBatch) -> NDArray[np.float64]:
     return np.sqrt(np.where(known, variance, np.nan))
 
 
-def pixel_weights(level: NDArray, shape: tuple[int, int, int]) -> tuple[NDArray, float]:
-    """Return one over the noise of each pixel, scaled to a median of one, and the scale.
-
-    Parameters
-    ----------
-    level : array
-        Standard deviation of the noise, NaN where masked; broadcasts to (T, H, W).
-    shape : tuple of int
-        (T, H, W) of the frames.
-
-    Returns
-    -------
-    weights : float32 array, shape (T, H, W) or (1, H, W)
-        Zero where masked.
-    unit : float
-        Standard deviation of the noise at a weight of one.
-    """
-    known = level[np.isfinite(level)]
-    unit = float(np.median(known)) if known.size else 1.0
-    weights = np.nan_to_num(unit / level, nan=0.0).astype(np.float32)
-    return np.broadcast_to(weights, (len(level), *shape[1:])), unit
-
-
-def _of_batch(name, given, batch):
+def _of_batch(name: str, given: ArrayOption, batch: FrameBatch) -> NDArray:
     """Return the entries of an array for the frames of a batch."""
     array = given.array
     shape = np.shape(batch.frames)[1:]

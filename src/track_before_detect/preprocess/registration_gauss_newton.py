@@ -1,6 +1,6 @@
-"""Affine and projective maps of the scene between frames, by least squares on the pixels.
+"""Registration by Gauss-Newton steps on the pixels: affine and projective maps of the scene.
 
-The maps are found where the translation of the module ``registration`` left off: the frames'
+The maps are found where the shift of the module ``registration_correlation`` left off: the frames'
 features (high-passed and clipped, without targets and hot pixels) are compared at a few thousand
 points, from blurred to sharp, by Gauss-Newton steps with weights that fall with the residual, so
 that what moves by itself has no say (Lucas and Kanade 1981; Baker and Matthews 2004, Section 3).
@@ -20,6 +20,7 @@ from scipy import ndimage
 
 from track_before_detect import geometry
 from track_before_detect.kernels import warp
+from track_before_detect.preprocess.robust import median_deviation
 
 _BLURS_PX = (4.0, 1.5, 0.8)  # of the features, one after the other
 _MOST_POINTS = 2000  # of an image tell a map to some hundredths of a pixel
@@ -72,7 +73,7 @@ def align(fixed: NDArray, moving: NDArray, start: NDArray, model: str) -> Alignm
     for blur in _BLURS_PX:
         template = ndimage.gaussian_filter(fixed, blur)
         image = ndimage.gaussian_filter(moving, blur)
-        problem.look_at(template, image, blur, parameters)
+        problem.choose_points(template, image, blur, parameters)
         if problem.n_points <= problem.n_parameters:
             return Alignment(start, np.inf)
         for _ in range(_MOST_STEPS):
@@ -93,7 +94,7 @@ class _Problem:
     parameters of which one unit is about a pixel at the border.
     """
 
-    def __init__(self, shape, start, n_parameters):
+    def __init__(self, shape: tuple[int, ...], start: NDArray, n_parameters: int):
         self.n_parameters = n_parameters
         self.n_points = 0
         self._size = np.array([shape[1], shape[0]])
@@ -104,12 +105,13 @@ class _Problem:
         self._normal /= self._scale
         self._outer = start @ np.linalg.inv(self._normal)
 
-    def matrix(self, parameters):
+    def matrix(self, parameters: NDArray) -> NDArray[np.float64]:
         """Return the map from the fixed to the moving image."""
         matrix = self._outer @ self._change(parameters) @ self._normal
         return matrix / matrix[2, 2]
 
-    def look_at(self, template, image, blur, parameters):
+    def choose_points(self, template: NDArray, image: NDArray, blur: float,
+                      parameters: NDArray) -> None:
         """Choose the points to compare: where the template changes most, in every tile."""
         slope = np.hypot(ndimage.sobel(template, 0), ndimage.sobel(template, 1))
         stride = max(2, round(np.sqrt(template.size / (_CANDIDATES * _MOST_POINTS))))
@@ -131,14 +133,14 @@ class _Problem:
         self._image = image
         self._alike = 4 * np.pi * blur**2 / stride**2
 
-    def equations(self, parameters):
+    def equations(self, parameters: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the normal equations of a Gauss-Newton step, matrix and right side."""
         values, jacobian, _ = self._compare(parameters)
         residual = values - self._template
         weighted = jacobian * self._weights(residual)[0][:, None]
         return _product(jacobian, weighted), -np.einsum('np,n->p', weighted, residual)
 
-    def uncertainty(self, parameters):
+    def uncertainty(self, parameters: NDArray) -> float:
         """Return the largest standard deviation of the map at a corner, in pixels.
 
         What the scene tells is measured by the slopes that both images share; the slopes of their
@@ -159,12 +161,12 @@ class _Problem:
         variance = np.einsum('ckp,pq,ckq->c', at_corners, covariance, at_corners)
         return float(np.sqrt(variance.max()))
 
-    def _weights(self, residual):
+    def _weights(self, residual: NDArray) -> tuple[NDArray[np.float64], float]:
         """Return the weight of each point in the sum of squares, and the residual's deviation."""
-        spread = max(1.4826 * float(np.median(np.abs(residual))), _LEAST_SPREAD)
+        spread = max(median_deviation(residual), _LEAST_SPREAD)
         return 1 / (1 + (residual / (_TOLERANT * spread))**2), spread
 
-    def _compare(self, parameters):
+    def _compare(self, parameters: NDArray) -> tuple[NDArray, NDArray, NDArray]:
         """Return the moving image at each point, how that changes, and how the point moves."""
         positions = geometry.apply(self.matrix(parameters), self._points)
         # far beyond the border everything is the last pixel
@@ -173,11 +175,11 @@ class _Problem:
         motion = self._motion(self._points, parameters)
         return seen[:, 0], np.einsum('nk,nkp->np', seen[:, 1:], motion), motion
 
-    def _change(self, parameters):
+    def _change(self, parameters: NDArray) -> NDArray[np.float64]:
         a, b, c, d, e, f, g, h = np.append(parameters, [0.0, 0.0])[:8] / self._scale
         return np.array([[1 + a, b, c], [d, 1 + e, f], [g, h, 1]])
 
-    def _motion(self, points, parameters):
+    def _motion(self, points: NDArray, parameters: NDArray) -> NDArray[np.float64]:
         """Return how mapped points move with the parameters, shape (points, 2, parameters)."""
         change = self._change(parameters)
         u = np.column_stack([(points - self._middle) / self._scale, np.ones(len(points))])
@@ -195,13 +197,13 @@ class _Problem:
         return (outer @ inner)[:, :, :self.n_parameters] / self._scale
 
 
-def _sampled(image, positions):
+def _sampled(image: NDArray, positions: NDArray) -> NDArray[np.float64]:
     """Return value and slopes of an image at positions (N, 2), shape (N, 3)."""
     seen = np.empty((len(positions), 3))
     warp.sample_with_slope(image, *np.ascontiguousarray(positions.T), seen)
     return seen
 
 
-def _product(a, b):
+def _product(a: NDArray, b: NDArray) -> NDArray[np.float64]:
     # without the threads of BLAS, which cost more than they gain on tall and thin matrices
     return np.einsum('np,nq->pq', a, b)

@@ -1,4 +1,4 @@
-"""Shift of the scene between two images, found by correlation."""
+"""Registration by correlation: the shift of the scene between two images."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, ndimage
+
+from track_before_detect.preprocess.robust import median_deviation
 
 _HIGH_PASS_PX = 31  # side of the box whose mean is taken off: shading of the lens stays put
 _CLIP = 3.0  # of the robust deviation, so that no bright pixel decides alone
@@ -33,7 +35,7 @@ class Match:
         Height of the correlation peak over the deviation of the surface; believed from
         ``CREDIBLE`` on.
     kind : int
-        Which of the two features told it.
+        Which of the two features it was found in.
     """
 
     shift: NDArray[np.float64]
@@ -98,7 +100,7 @@ def match(fixed: NDArray, moving: NDArray, guess: NDArray) -> Match:
     return Match(shift, peak, 0)
 
 
-def _ring(image):
+def _ring(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the mean of the middle two of four pixels around each, which no target covers."""
     height, width = image.shape
     padded = np.pad(image, _RING_PX, mode='edge')
@@ -111,13 +113,13 @@ def _ring(image):
     return 0.5 * (total - low - high)
 
 
-def _deviation(values):
+def _deviation(values: NDArray) -> float:
     """Return a robust standard deviation that is not 0."""
-    deviation = 1.4826 * float(np.median(np.abs(values)))
-    return deviation or float(np.std(values)) or 1.0
+    return median_deviation(values) or float(np.std(values)) or 1.0
 
 
-def _correlate(fixed, moving, guess):
+def _correlate(fixed: NDArray, moving: NDArray,
+               guess: NDArray) -> tuple[NDArray[np.float64], float, int]:
     """Correlate two images near a shift ``guess`` in whole pixels.
 
     Returns the shift x, y in pixels, the height of its peak over the deviation of the surface,
@@ -128,7 +130,7 @@ def _correlate(fixed, moving, guess):
     taper = np.outer(_taper(rows), _taper(columns)).astype(np.float32)
     shape = fft.next_fast_len(rows, real=True), fft.next_fast_len(columns, real=True)
     spectrum = np.conj(fft.rfft2(a * taper, shape)) * fft.rfft2(b * taper, shape)
-    spectrum *= _weights(shape) / np.maximum(np.abs(spectrum), 1e-12) ** _WHITENING
+    spectrum *= _low_pass(shape) / np.maximum(np.abs(spectrum), 1e-12) ** _WHITENING
     surface = fft.irfft2(spectrum, shape)
     deviation = surface.std()
     if not deviation > 0:
@@ -146,7 +148,7 @@ def _correlate(fixed, moving, guess):
     return shift + guess, float(peak[1, 1] / deviation), _support(fixed, moving, whole)
 
 
-def _overlap(fixed, moving, shift):
+def _overlap(fixed: NDArray, moving: NDArray, shift: NDArray) -> tuple[NDArray, NDArray]:
     """Return what both images show when the second is moved by ``shift`` x, y whole pixels."""
     x, y = (int(value) for value in shift)
     rows, columns = fixed.shape[0] - abs(y), fixed.shape[1] - abs(x)
@@ -154,7 +156,7 @@ def _overlap(fixed, moving, shift):
             moving[max(0, y):max(0, y) + rows, max(0, x):max(0, x) + columns])
 
 
-def _support(fixed, moving, shift):
+def _support(fixed: NDArray, moving: NDArray, shift: NDArray) -> int:
     """Return how many of the image's 8 by 8 tiles agree on a shift beyond chance."""
     a, b = _overlap(fixed, moving, shift)
     rows, columns = (np.linspace(0, size, 9).astype(int)[:-1] for size in a.shape)
@@ -164,7 +166,7 @@ def _support(fixed, moving, shift):
     return int(np.count_nonzero(sums > _TILE_AGREES * np.sqrt(squares)))
 
 
-def _weights(shape):
+def _low_pass(shape: tuple[int, int]) -> NDArray[np.float32]:
     """Return the low-pass in the frequency plane that gives the peak its width."""
     along_y = fft.fftfreq(shape[0])[:, None]
     along_x = fft.rfftfreq(shape[1])[None, :]
@@ -172,7 +174,7 @@ def _weights(shape):
     return np.exp(-0.5 * square).astype(np.float32)
 
 
-def _taper(length):
+def _taper(length: int) -> NDArray[np.float64]:
     """Return a window of ones with raised-cosine ends."""
     ramp = max(1, int(_TAPER * length))
     window = np.ones(length)
@@ -181,7 +183,7 @@ def _taper(length):
     return window
 
 
-def _vertex(values):
+def _vertex(values: NDArray) -> float:
     """Return where the curve through three values peaks, in pixels from the middle one."""
     left, middle, right = (float(value) for value in values)
     if min(left, right) > 0:

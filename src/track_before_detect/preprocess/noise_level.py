@@ -1,0 +1,95 @@
+"""The standard deviation of the noise, from frames that hold targets and leftovers too."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from track_before_detect import geometry
+from track_before_detect.preprocess.background import temporal_median
+from track_before_detect.preprocess.resampling import warped_frames
+from track_before_detect.preprocess.robust import MAD_TO_DEVIATION, robust_deviation
+
+_SMOOTHING_PX = 5  # side of the box over which the variance map is averaged
+
+
+def frame_level(frames: NDArray, floor: float = 0.0) -> NDArray:
+    """Return one noise level per frame.
+
+    Parameters
+    ----------
+    frames : array, shape (T, H, W)
+        Real frames without background, NaN where masked.
+    floor : float, optional
+        Least level, in the units of ``frames``.
+
+    Returns
+    -------
+    array, shape (T, 1, 1)
+        Standard deviation; NaN for a frame that is masked entirely.
+    """
+    levels = [robust_deviation(frame, floor) for frame in frames]
+    return np.array(levels)[:, None, None]
+
+
+def pixel_level(frames: NDArray, floor: float = 0.0) -> NDArray:
+    """Return one noise level per pixel.
+
+    The spread over time of each pixel, averaged in variance over a few pixels around, and scaled
+    so that the bulk of all values has unit deviation after division. A target that stays on a
+    pixel for half of the frames or longer counts as noise there.
+
+    Parameters
+    ----------
+    frames : array, shape (T, H, W)
+        Real frames, NaN where masked.
+    floor : float, optional
+        Least level, in the units of ``frames``.
+
+    Returns
+    -------
+    array, shape (1, H, W)
+        Standard deviation; NaN where a pixel is masked in every frame.
+    """
+    centred = frames - temporal_median(frames)
+    variance = (MAD_TO_DEVIATION * temporal_median(np.abs(centred))) ** 2
+    known = np.isfinite(variance)
+    if not known.any():
+        return np.full((1, *frames.shape[1:]), np.nan)
+    weight = ndimage.uniform_filter(known.astype(np.float64), _SMOOTHING_PX, mode='nearest')
+    mean = ndimage.uniform_filter(np.where(known, variance, 0.0).astype(np.float64),
+                                  _SMOOTHING_PX, mode='nearest')
+    # the running sums of the filter may end a rounding error below 0
+    mean = np.maximum(mean, 0.0) / np.maximum(weight, 1e-9)
+    level = np.sqrt(np.where(known, mean, np.nan))
+    overall = robust_deviation(centred, floor)
+    level = np.maximum(level, max(floor, 1e-3 * overall))
+    if not np.any(level > 0):
+        return level[None]
+    scale = robust_deviation(centred / level)
+    return np.maximum(level * (scale or 1.0), floor)[None]
+
+
+def scene_level(frames: NDArray, maps: NDArray, floor: float = 0.0) -> NDArray:
+    """Return the noise level of each place of the scene, at the pixels of each frame.
+
+    Parameters
+    ----------
+    frames : array, shape (T, H, W)
+        Real frames, NaN where masked.
+    maps : array, shape (T, 3, 3)
+        Takes the registered plane to each frame.
+    floor : float, optional
+        Least level, in the units of ``frames``.
+
+    Returns
+    -------
+    array, shape (T, H, W)
+        Standard deviation; NaN where nothing is known of it.
+    """
+    level = pixel_level(warped_frames(frames, maps), floor).astype(np.float32)
+    level = warped_frames(np.broadcast_to(level, frames.shape), geometry.inverse(maps))
+    # interpolation took part of the noise, and may dip below zero beside a step
+    scale = robust_deviation(frames / np.maximum(level, np.float32(1e-6)))
+    return np.maximum(level * (scale or 1.0), floor)

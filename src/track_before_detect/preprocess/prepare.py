@@ -1,0 +1,276 @@
+"""From raw frames to frames in which the noise has unit variance and the scene stands still."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect import geometry
+from track_before_detect.checks import check_kind, checked_frames
+from track_before_detect.errors import DataError
+from track_before_detect.options import DetectorOptions
+from track_before_detect.preprocess.background import (
+    remove_spatial_median,
+    remove_temporal_median,
+)
+from track_before_detect.preprocess.given_pixels import given_level, masked_pixels
+from track_before_detect.preprocess.noise_level import frame_level, pixel_level, scene_level
+from track_before_detect.preprocess.registration import register
+from track_before_detect.preprocess.resampling import shift_whole, warped_frames
+from track_before_detect.preprocess.whiteness import correlation_factor
+from track_before_detect.types import FrameBatch
+
+_QUANTISED_FLOOR = 0.3  # of a grey level: rounding alone adds 1/sqrt(12)
+
+# Single precision has 24 bits.
+MOST_OVER_NOISE = 1e8
+
+_LEAST_FRAMES = 3  # that tell what stands still from what moves
+_LEAST_MESH_PX = 12  # cells this small follow the shading of a lens under a panning camera
+_MESH_SIGMAS = 8  # side of a cell, of which a target must cover little
+_OVER_TIME = {'background': ('temporal_median', 'temporal_spatial_median'), 'noise': ('map',)}
+
+_logger = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class PreparedBatch:
+    """Frames on their way to the search: each step takes one and returns the next.
+
+    Attributes
+    ----------
+    frames : array of float32 or complex64, shape (T, H, W)
+        Pixel values, NaN where masked; after the last step in units of the noise standard
+        deviation, on the registered plane.
+    stamps : array, shape (T,)
+        Seconds.
+    frame_indices : array of int, shape (T,)
+        Number of each frame in the recording.
+    noise_level : array, shape (T, 1, 1), (1, H, W), (T, H, W) or (1, 1, 1)
+        Standard deviation of the noise in the units of the input, at the pixels of the frames as
+        they came; NaN where masked.
+    maps : array, shape (T, 3, 3)
+        Takes the registered plane to the pixels of each frame as it came, see the module
+        ``geometry``.
+    weights : float32 array, shape (T, H, W) or (1, H, W), or None
+        One over the noise of each pixel of ``frames``, with a median of one, zero where masked;
+        None where the noise differs between frames at most.
+    unit : float
+        Standard deviation of the noise at a weight of one, in the units of the input.
+    """
+
+    frames: NDArray
+    stamps: NDArray[np.float64]
+    frame_indices: NDArray[np.int64]
+    noise_level: NDArray[np.float64]
+    maps: NDArray[np.float64]
+    weights: NDArray[np.float32] | None = None
+    unit: float = 1.0
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+
+def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> PreparedBatch:
+    """Register frames, take off the background and scale the noise to one, each if asked for.
+
+    All but the last step leaves every frame on its own grid, with its noise white. The last moves
+    the frames onto the registered plane: after a translation by whole pixels; after any other map
+    by interpolation, which correlates the noise of neighbouring pixels and takes as much of it as
+    of a small target. The matched filter of a target with a ``width_px`` of 1 or more notices
+    less than 2 %; for sharper ones its noise comes out up to 15 % below one, on the safe side.
+
+    Parameters
+    ----------
+    batch : FrameBatch
+        Frames as they came; left as they are.
+    options : DetectorOptions
+        ``registration``, ``background`` and ``noise`` say what is done; ``variance`` and ``mask``
+        what is known of the pixels.
+    width_px : float
+        Standard deviation in pixels of a target, as the point spread function has it.
+
+    Returns
+    -------
+    PreparedBatch
+        New arrays; where a step is not asked for, its part of the input is passed on.
+    """
+    prepared = _in_single_precision(batch)
+    _check_options(options, prepared)
+    if options.mask is not None:
+        prepared = _masked(prepared, masked_pixels(options.mask, batch))
+    if options.registration != 'none':
+        prepared = _registered(prepared, options.registration)
+    if options.background in ('temporal_median', 'temporal_spatial_median'):
+        prepared = _without_still_scene(prepared)
+    if options.background in ('spatial_median', 'temporal_spatial_median'):
+        prepared = _without_shading(prepared, width_px)
+    if options.variance is not None:
+        prepared = _divided(prepared, given_level(options.variance, batch))
+    if options.noise != 'none':
+        is_whole = np.issubdtype(np.asarray(batch.frames).dtype, np.integer)
+        prepared = _divided(prepared, _noise_level(
+            prepared, options.noise, _QUANTISED_FLOOR if is_whole else 0.0))
+        prepared = _with_white_scale(prepared, width_px)
+    prepared = _weighted(prepared)
+    if options.registration != 'none':
+        prepared = _on_plane(prepared, options.registration)
+    _check_size(prepared.frames)
+    return prepared
+
+
+def _in_single_precision(batch: FrameBatch) -> PreparedBatch:
+    """Return a copy of a batch in single precision, NaN where not finite."""
+    raw = np.asarray(batch.frames)
+    checked_frames(raw)
+    if len(batch.stamps) != len(raw) or len(batch.frame_indices) != len(raw):
+        raise DataError(
+            f'{len(raw)} frames need as many stamps and frame numbers, got '
+            f'{len(batch.stamps)} and {len(batch.frame_indices)}')
+    with np.errstate(over='ignore'):
+        frames = raw.astype(np.complex64 if np.iscomplexobj(raw) else np.float32)
+    if not np.issubdtype(raw.dtype, np.integer):
+        masked = ~np.isfinite(frames)
+        if masked.all():
+            raise DataError(f'no pixel of the {len(raw)} frames is finite')
+        frames[masked] = _nan(frames)
+    return PreparedBatch(
+        frames, np.array(batch.stamps, dtype=np.float64), np.array(batch.frame_indices),
+        np.ones((1, 1, 1)), geometry.translations(np.zeros((len(raw), 2))))
+
+
+def _check_options(options: DetectorOptions, prepared: PreparedBatch) -> None:
+    """Refuse frames of another kind than the amplitudes, and too few of them for a step."""
+    check_kind(prepared.frames, options.amplitudes)
+    for name, choices in _OVER_TIME.items():
+        value = getattr(options, name)
+        if value in choices and len(prepared) < _LEAST_FRAMES:
+            raise DataError(
+                f'{name}={value} needs at least {_LEAST_FRAMES} frames, got {len(prepared)}')
+
+
+def _masked(prepared: PreparedBatch, masked: NDArray[np.bool_]) -> PreparedBatch:
+    """Return a batch without the pixels that hold no data."""
+    return replace(prepared, frames=np.where(masked, _nan(prepared.frames), prepared.frames))
+
+
+def _registered(prepared: PreparedBatch, model: str) -> PreparedBatch:
+    """Return a batch with the map from the plane to each frame, and say what is doubtful."""
+    registration = register(prepared.frames, model)
+    doubtful = np.flatnonzero(~registration.credible)
+    if doubtful.size:
+        _logger.warning(
+            'registration found no shift for %d of %d frames (the first is %d); theirs is '
+            'taken from the frames around', doubtful.size, len(prepared),
+            prepared.frame_indices[doubtful[0]])
+    shifted = np.flatnonzero(registration.credible & ~registration.refined)
+    if shifted.size:
+        _logger.warning(
+            'registration=%s found no more than a shift for %d of %d frames (the first is %d)',
+            model, shifted.size, len(prepared), prepared.frame_indices[shifted[0]])
+    return replace(prepared, maps=registration.maps)
+
+
+def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:
+    """Return a batch without what stands still on the registered plane."""
+    left = remove_temporal_median(_real_parts(prepared.frames), prepared.maps)
+    return replace(prepared, frames=left.view(prepared.frames.dtype))
+
+
+def _without_shading(prepared: PreparedBatch, width_px: float) -> PreparedBatch:
+    """Return a batch without slow changes over the image, by cells a target covers little of."""
+    mesh_px = max(_LEAST_MESH_PX, round(_MESH_SIGMAS * width_px))
+    return replace(prepared, frames=remove_spatial_median(prepared.frames, mesh_px))
+
+
+def _divided(prepared: PreparedBatch, level: NDArray) -> PreparedBatch:
+    """Return a batch in units of a level, which broadcasts to its frames."""
+    divisor = level.astype(np.float32)
+    # part by part: a complex division by NaN warns
+    parts = prepared.frames.view(np.float32).reshape(*prepared.frames.shape, -1)
+    frames = (parts / divisor[..., None]).view(prepared.frames.dtype)[..., 0]
+    return replace(prepared, frames=frames, noise_level=prepared.noise_level * level)
+
+
+def _noise_level(prepared: PreparedBatch, method: str, floor: float) -> NDArray:
+    """Return the level that broadcasts to the frames, NaN where nothing is known."""
+    parts, maps = _real_parts(prepared.frames), prepared.maps
+    if method == 'robust':
+        level = frame_level(parts, floor)
+    elif np.array_equal(maps, np.broadcast_to(np.eye(3), maps.shape)):
+        level = pixel_level(parts, floor)
+    else:
+        level = scene_level(parts, maps, floor)
+    if not np.any(level > 0):
+        raise DataError(
+            f'the noise level of the frames is 0, which noise={method} cannot scale to 1')
+    level = np.where(level > 0, level, np.nan)
+    if np.iscomplexobj(prepared.frames):
+        # a complex pixel is two real ones with half the variance each
+        level = level * np.sqrt(2.0)
+        if level.shape[2] > 1:
+            level = np.sqrt(0.5 * (level[..., 0::2] ** 2 + level[..., 1::2] ** 2))
+    return level
+
+
+def _with_white_scale(prepared: PreparedBatch, width_px: float) -> PreparedBatch:
+    """Return a batch whose matched filter has unit noise; that of complex frames is white."""
+    if np.iscomplexobj(prepared.frames):
+        return prepared
+    factor = correlation_factor(prepared.frames, width_px)
+    return _divided(prepared, np.full((1, 1, 1), factor))
+
+
+def _weighted(prepared: PreparedBatch) -> PreparedBatch:
+    """Return a batch with one over the noise of each pixel, where pixels differ in it."""
+    level = prepared.noise_level
+    if level.shape[1:] == (1, 1):
+        return prepared
+    known = level[np.isfinite(level)]
+    unit = float(np.median(known)) if known.size else 1.0
+    weights = np.nan_to_num(unit / level, nan=0.0).astype(np.float32)
+    return replace(prepared, weights=weights, unit=unit)
+
+
+def _on_plane(prepared: PreparedBatch, model: str) -> PreparedBatch:
+    """Return a batch moved onto the registered plane, NaN where a frame does not see it."""
+    maps, weights, move = prepared.maps, prepared.weights, warped_frames
+    if model == 'translation':
+        maps = geometry.translations(np.rint(maps[:, :2, 2]) + 0.0)  # no negative zero
+        move = _shifted_whole
+    if weights is not None:
+        weights = move(np.broadcast_to(weights, prepared.frames.shape), maps)
+        weights = np.maximum(np.nan_to_num(weights), 0)
+    return replace(prepared, frames=move(prepared.frames, maps), maps=maps, weights=weights)
+
+
+def _shifted_whole(frames: NDArray, maps: NDArray) -> NDArray:
+    """Return every frame moved by the whole pixels of its map."""
+    return np.stack([shift_whole(frame, offset)
+                     for frame, offset in zip(frames, maps[:, :2, 2].astype(int), strict=True)])
+
+
+def _check_size(frames: NDArray) -> None:
+    """Refuse pixels beside whose rounding the noise would not be seen."""
+    parts = _real_parts(frames)
+    for sign in (1, -1):
+        if np.any(sign * parts > MOST_OVER_NOISE):
+            size = np.abs(np.nan_to_num(frames, nan=0.0))
+            t, y, x = np.unravel_index(int(np.argmax(size)), size.shape)
+            raise DataError(
+                f'pixels must be at most {MOST_OVER_NOISE:g} times their noise, got '
+                f'{size[t, y, x]:g} times in frame {t} of a batch at x = {x}, y = {y}: scale the '
+                'frames, set noise=robust, or mask pixels that hold no data')
+
+
+def _real_parts(frames: NDArray) -> NDArray[np.float32]:
+    """Return frames as real ones, shape (T, H, 2 W) when they are complex."""
+    return frames.view(np.float32)
+
+
+def _nan(frames: NDArray) -> np.generic:
+    """Return the value of a masked pixel; both parts of a complex one are NaN."""
+    return frames.dtype.type(complex(np.nan, np.nan) if np.iscomplexobj(frames) else np.nan)

@@ -1,0 +1,108 @@
+"""The diagnostics message of the detector, and the warnings it repeats."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+import math
+import time
+from typing import Any
+
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from std_msgs.msg import Header
+
+from track_before_detect.ros.frame_queue import Counters
+from track_before_detect.ros.worker import Status
+
+WARNING_PERIOD_S = 5.0
+
+
+@dataclass
+class Warnings:
+    """What went wrong last, and when each kind of it was logged.
+
+    Attributes
+    ----------
+    last : str
+        The newest warning, empty before the first.
+    """
+
+    last: str = ''
+    _last_s: float = -math.inf
+    _logged_s: dict[str, float] = field(default_factory=dict)
+
+    def add(self, kind: str, text: str) -> bool:
+        """Keep a warning; return whether to log it: of each kind one in a few seconds."""
+        now_s = time.monotonic()
+        self.last, self._last_s = text, now_s
+        if now_s - self._logged_s.get(kind, -math.inf) < WARNING_PERIOD_S:
+            return False
+        self._logged_s[kind] = now_s
+        return True
+
+    def are_recent(self) -> bool:
+        """Return whether the newest warning is a few seconds old at most."""
+        return time.monotonic() - self._last_s < WARNING_PERIOD_S
+
+
+@dataclass
+class Reception:
+    """What the middleware did not deliver."""
+
+    n_lost: int = 0
+    n_incompatible: int = 0
+
+
+def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counters,
+                        n_waiting: int, reception: Reception, warnings: Warnings
+                        ) -> DiagnosticArray:
+    """Return the state of the search with all counters.
+
+    Parameters
+    ----------
+    name : str
+        Of the node, with its namespace.
+    stamp : Time
+        Of the message.
+    status : Status
+        Where the search is; ``failed`` is an error.
+    counters : Counters
+        Of frames and batches.
+    n_waiting : int
+        Frames in the queue.
+    reception : Reception
+        Of the subscriptions.
+    warnings : Warnings
+        A recent one is the message as a whole.
+    """
+    level = DiagnosticStatus.OK
+    message = f'{status.state}: {status.detail}' if status.detail else status.state
+    if status.state == 'failed':
+        level = DiagnosticStatus.ERROR
+    elif warnings.are_recent():
+        level, message = DiagnosticStatus.WARN, warnings.last
+    values: dict[str, Any] = {
+        'state': status.state,
+        'detail': status.detail,
+        'frame_size': '' if status.shape is None else f'{status.shape[0]} x {status.shape[1]}',
+        'searching': str(status.searching).lower(),
+        'threshold': f'{status.threshold:.4f}',
+        'processing_time_ms': f'{1e3 * status.processing_s:.1f}',
+        'longest_processing_time_ms': f'{1e3 * status.longest_processing_s:.1f}',
+        'latency_ms': f'{1e3 * status.latency_s:.1f}',
+        'frames_received': counters.received,
+        'frames_used': counters.used,
+        'frames_waiting': n_waiting,
+        'frames_dropped': counters.dropped,
+        'frames_refused': counters.refused,
+        'messages_lost': reception.n_lost,
+        'incompatible_publishers': reception.n_incompatible,
+        'window_restarts': counters.restarts,
+        'batches': counters.batches,
+        'trajectories': counters.trajectories,
+        'failures': counters.failures,
+        'last_warning': warnings.last,
+    }
+    return DiagnosticArray(header=Header(stamp=stamp), status=[DiagnosticStatus(
+        level=level, name=name, message=message, hardware_id='',
+        values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])])
