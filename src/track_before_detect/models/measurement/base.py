@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import builtins
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement
+
+# Which frames of a batch: a slice of them, or their numbers.
+Frames = slice | NDArray[np.int64]
 
 
 class MeasurementModel(Protocol):
@@ -39,8 +41,8 @@ class MeasurementModel(Protocol):
     def limits(self, shape: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position for frames (H, W)."""
 
-    def slice(self, frames: builtins.slice) -> MeasurementModel:
-        """Return the model of some successive frames."""
+    def slice(self, frames: Frames) -> MeasurementModel:
+        """Return the model of some of the frames."""
 
     def gaussian(self, width_px: float) -> MeasurementModel:
         """Return the same view of a Gaussian target of a width in pixels of the positions."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 from dataclasses import dataclass, replace
 from functools import cached_property
 import hashlib
@@ -13,6 +12,7 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement, curvatures
+from track_before_detect.models.measurement.base import Frames
 from track_before_detect.models.measurement.psf import Psf
 
 # Places of the plane, along each side, at which the sharpness of the PSFs is looked at.
@@ -106,8 +106,8 @@ class MultiSensor:
         return replace(self, maps=self.maps @ geometry.translations(np.array([offset])),
                        shape=shape)
 
-    def slice(self, frames: builtins.slice) -> MultiSensor:
-        """Return the view of some successive frames."""
+    def slice(self, frames: Frames) -> MultiSensor:
+        """Return the view of some of the frames."""
         return replace(self, sensor=self.sensor[frames], maps=self.maps[frames])
 
     def gaussian(self, width_px: float) -> MultiSensor:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-import builtins
 from dataclasses import dataclass
 from functools import cached_property
 import hashlib
@@ -17,6 +16,7 @@ from scipy.special import ndtr
 from track_before_detect.errors import ParameterError
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement
 from track_before_detect.kernels.psf.psf_profiles import fill_profiles, Optics, product_norm
+from track_before_detect.models.measurement.base import Frames
 
 LEAST_SIGMA_PX = 0.2
 # Samples of a Gaussian per standard deviation: a cubic spline through them is exact to 1e-7.
@@ -135,8 +135,8 @@ class Psf(ABC):
         """Return the largest x and y of a position in frames (H, W)."""
         return np.array([shape[1] - 1.0, shape[0] - 1.0])
 
-    def slice(self, frames: builtins.slice) -> Psf:
-        """Return the PSF of some successive frames."""
+    def slice(self, frames: Frames) -> Psf:
+        """Return the PSF of some of the frames."""
         return self
 
     def gaussian(self, width_px: float) -> Psf:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 from dataclasses import dataclass, replace
 import math
 
@@ -10,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.psf.psf_profiles import Optics
+from track_before_detect.models.measurement.base import Frames
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.motion.state_graph import StateGraph
 
@@ -74,9 +74,9 @@ class StreakPsf(Psf):
         """Standard deviation of a Gaussian at rest; None of any other PSF."""
         return self.base.gaussian_sigma_px
 
-    def slice(self, frames: builtins.slice) -> StreakPsf:
-        """Return the PSF of some successive frames; at their ends the velocity is one-sided."""
-        return replace(self, times=self.times[frames])
+    def slice(self, frames: Frames) -> StreakPsf:
+        """Return the PSF of some of the frames; at their ends the velocity is one-sided."""
+        return replace(self, times=tuple(np.array(self.times)[frames].tolist()))
 
     def gaussian(self, width_px: float) -> StreakPsf:
         """Return the streak of a Gaussian target of a width, or of the least width there is."""

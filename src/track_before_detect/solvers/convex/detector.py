@@ -20,7 +20,6 @@ from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
-from track_before_detect.solvers.search.position_scores import grid_shape
 from track_before_detect.types import Step
 
 # Distance of paths that one search adds, in widths of the PSF.
@@ -76,9 +75,7 @@ class ConvexDetector(PathDetector):
         if self.earlier is None:
             return []
         limits = task.psf.limits(task.paths.frames.shape[1:])
-        return starting_paths(task.graph, task.times,
-                              grid_shape(task.psf, (int(limits[1]) + 1, int(limits[0]) + 1)),
-                              self.earlier, self.presence)
+        return starting_paths(task.graph, task.times, limits, self.earlier, self.presence)
 
     def largest_value(self, search: PathSearch, psf: MeasurementModel, times: NDArray,
                       ) -> Callable[[NDArray], float]:
