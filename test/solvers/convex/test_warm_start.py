@@ -132,7 +132,8 @@ def test_over_range_doppler_maps_they_keep_the_range_that_goes_with_the_doppler(
         rows = np.append(0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
         truth = np.stack([columns, 60 - rows.mean() + rows], axis=1)
         told = np.where(KNOWN[:, None], truth + rng.normal(0, 0.03, truth.shape), np.nan)
-        [found] = starting_paths(graph, TIMES, (W - 1.0, 120.0), EarlierPaths([told], KNOWN))
+        [found] = starting_paths(graph, TIMES, np.array([W - 1.0, 120.0]),
+                                 EarlierPaths([told], KNOWN))
         x, y = (found.positions / graph.step_px).T
         on_plane = np.stack([x, y - shifts[np.arange(T), x.astype(int)]], axis=1)
         assert follows(graph, on_plane * graph.step_px) == pytest.approx(found.cost)
