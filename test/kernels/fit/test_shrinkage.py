@@ -5,7 +5,7 @@ import pytest
 
 import naive
 from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, SIGNED
-from track_before_detect.kernels.fit import shrinkage
+from track_before_detect.kernels.fit import group_lasso
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes
 
@@ -63,7 +63,7 @@ def test_the_norm_found_on_the_line_is_that_of_the_solution(weight, seed):
     diagonal = 10**generator.uniform(-3, 3, 5)
     row[:, 2] = diagonal[2] = 0
     row *= 5 / np.linalg.norm(row)
-    size = shrinkage.shrunk_norm(row, diagonal, weight)
+    size = group_lasso.shrunk_norm(row, diagonal, weight)
     solution = row / (diagonal + weight / size)
     assert np.linalg.norm(solution) == pytest.approx(size, rel=1e-12)
     # The gradient of the objective vanishes there.
@@ -72,5 +72,5 @@ def test_the_norm_found_on_the_line_is_that_of_the_solution(weight, seed):
 
 def test_equal_norms_give_the_closed_form():
     row = np.random.default_rng(3).standard_normal((1, 7)) * 4
-    size = shrinkage.shrunk_norm(row, np.full(7, 2.0), 1.5)
+    size = group_lasso.shrunk_norm(row, np.full(7, 2.0), 1.5)
     assert size == pytest.approx((np.linalg.norm(row) - 1.5) / 2.0, rel=1e-14)

@@ -24,7 +24,7 @@ MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
 NO_MASK = np.zeros((0, 0, 0), bool)
 T, H, W = 12, 26, 34
 HOP = 6
-GRID = (2 * H - 1, 2 * W - 1)
+LIMITS = np.array([W - 1.0, H - 1.0])
 KNOWN = np.arange(T) < T - HOP
 TIMES = np.arange(float(T))
 # Of a stream of T + HOP frames: x, y, their velocities, and the amplitude.
@@ -79,7 +79,7 @@ def cold_and_warm(name, seed, continuation, **settings):
     """Solve the second batch of a stream from nothing, and from what the first held."""
     frames = stream(name, seed)
     before = solve(frames[:T], (1.0, 0.5, 0.0))
-    start = starting_paths(graph_of(), TIMES, GRID, earlier_of(before.paths.positions))
+    start = starting_paths(graph_of(), TIMES, LIMITS, earlier_of(before.paths.positions))
     second = frames[HOP:]
     return (solve(second, continuation, **settings),
             solve(second, continuation, start, **settings), start)
@@ -114,7 +114,7 @@ def test_paths_to_begin_with_are_paths_of_the_graph_near_the_motion(acceleration
         truth = (17, 13) + np.outer(times - 6, speed * np.array([np.cos(heading),
                                                                   np.sin(heading)]))
         told = np.where(KNOWN[:, None], truth + rng.normal(0, 0.03, truth.shape), np.nan)
-        [found] = starting_paths(graph, times, GRID, EarlierPaths([told], KNOWN))
+        [found] = starting_paths(graph, times, LIMITS, EarlierPaths([told], KNOWN))
         assert follows(graph, found.positions) == pytest.approx(found.cost)
         assert np.hypot(*(found.positions - truth).T).mean() < 0.75
 
@@ -133,7 +133,8 @@ def test_over_range_doppler_maps_they_keep_the_range_that_goes_with_the_doppler(
         rows = np.append(0, np.cumsum(0.5 * (speed[1:] + speed[:-1])))
         truth = np.stack([columns, 60 - rows.mean() + rows], axis=1)
         told = np.where(KNOWN[:, None], truth + rng.normal(0, 0.03, truth.shape), np.nan)
-        [found] = starting_paths(graph, TIMES, (241, 2 * W - 1), EarlierPaths([told], KNOWN))
+        [found] = starting_paths(graph, TIMES, np.array([W - 1.0, 120.0]),
+                                 EarlierPaths([told], KNOWN))
         x, y = (found.positions / graph.step_px).T
         on_plane = np.stack([x, y - shifts[np.arange(T), x.astype(int)]], axis=1)
         assert follows(graph, on_plane * graph.step_px) == pytest.approx(found.cost)
@@ -146,15 +147,15 @@ def test_range_that_leaves_the_maps_is_not_begun_with():
                                       max_acceleration=0.0, turn_cost=1.0)
     leaving = np.stack([np.full(T, 21.0), H - 14 + 2.0 * TIMES], axis=1)
     told = np.where(KNOWN[:, None], leaving, np.nan)
-    assert starting_paths(graph, TIMES, GRID, EarlierPaths([told], KNOWN)) == []
+    assert starting_paths(graph, TIMES, LIMITS, EarlierPaths([told], KNOWN)) == []
 
 
 def test_paths_that_leave_the_frames_or_were_not_seen_are_not_begun_with():
     leaving = np.stack([W - 5 + 0.8 * TIMES, np.full(T, 8.0)], axis=1)
     unseen = np.full((T, 2), np.nan)
     told = np.where(KNOWN[:, None], leaving, np.nan)
-    assert starting_paths(graph_of(), TIMES, GRID, EarlierPaths([told, unseen], KNOWN)) == []
-    assert starting_paths(graph_of(), TIMES, GRID, EarlierPaths([], KNOWN)) == []
+    assert starting_paths(graph_of(), TIMES, LIMITS, EarlierPaths([told, unseen], KNOWN)) == []
+    assert starting_paths(graph_of(), TIMES, LIMITS, EarlierPaths([], KNOWN)) == []
 
 
 @pytest.mark.parametrize(('seen', 'there'), [
@@ -164,7 +165,7 @@ def test_a_target_that_left_is_not_there_again_where_targets_may_leave(seen, the
     truth = np.stack([8 + 0.5 * TIMES, 9 + 0.25 * TIMES], axis=1)
     told = np.full((T, 2), np.nan)
     told[seen] = truth[seen]
-    [found] = starting_paths(graph_of(), TIMES, GRID, EarlierPaths([told], KNOWN), presence)
+    [found] = starting_paths(graph_of(), TIMES, LIMITS, EarlierPaths([told], KNOWN), presence)
     present = np.flatnonzero(np.isfinite(found.positions[:, 0]))
     np.testing.assert_array_equal(present, np.arange(T)[there])
     assert found.cost >= presence.cost(int(present[0]), int(present[-1]), T)
@@ -174,7 +175,7 @@ def test_a_target_that_left_is_not_there_again_where_targets_may_leave(seen, the
 def test_a_target_that_may_leave_is_begun_with_until_the_border():
     leaving = np.stack([W - 7 + 0.8 * TIMES, np.full(T, 8.0)], axis=1)
     told = np.where(KNOWN[:, None], leaving, np.nan)
-    [found] = starting_paths(graph_of(), TIMES, GRID, EarlierPaths([told], KNOWN),
+    [found] = starting_paths(graph_of(), TIMES, LIMITS, EarlierPaths([told], KNOWN),
                              presence_for(MODEL))
     present = np.isfinite(found.positions[:, 0])
     assert 6 <= present.sum() < T and present[:6].all()
@@ -219,7 +220,7 @@ def test_paths_of_no_target_are_not_kept(code):
     largest = PathSearch(graph_of(model=model), GaussianPsf(1.0), (H, W), model).best_value(frames)
     rng = np.random.default_rng(8)
     told = [rng.uniform((4, 4), (W - 5, H - 5)) + np.zeros((T, 2)) for _ in range(40)]
-    start = starting_paths(graph_of(model=model), TIMES, GRID, EarlierPaths(told, KNOWN))
+    start = starting_paths(graph_of(model=model), TIMES, LIMITS, EarlierPaths(told, KNOWN))
     assert len(start) > 30
     # Moving off the grid raises a path by no more than this.
     threshold = 1.0001 * model.from_value(largest + model.refinement_gain)

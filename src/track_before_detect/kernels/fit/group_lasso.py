@@ -8,7 +8,9 @@ gram : float64 (n, n, T), inner products of the stamps of two paths in one frame
 amplitudes, slack : float64 (n, D, T), x and matched - gram x
 
 All paths have one weight. Paths of different weights, and frames of different weights within a
-path, are columns divided by their weight: their norm in ``gram`` is then not one.
+path, are columns divided by their weight: their norm in ``gram`` is then not one. Where it is the
+same in all frames, the amplitudes of one path, all others fixed, have the closed form of Algorithm
+2; where it is not, their norm is found on a line (Algorithm 1).
 """
 
 import math
@@ -16,15 +18,56 @@ import math
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import REORDERED_UNCHECKED, UNCHECKED
-from track_before_detect.kernels.fit.cholesky import backward, find_blocks, forward
-from track_before_detect.kernels.fit.least_squares import solve_frame
-from track_before_detect.kernels.fit.shrinkage import shrunk_norm
+from track_before_detect.kernels.compile_flags import EXACT, REORDERED_UNCHECKED, UNCHECKED
+from track_before_detect.kernels.fit.least_squares import (
+    backward,
+    find_blocks,
+    forward,
+    solve_frame,
+)
 
+# Newton steps on a concave function of one variable; a handful settle all digits.
+MOST_LINE_STEPS = 60
 # Shorter and shorter Newton steps that are tried.
 MOST_TRIALS = 6
 # Rounds without a smaller gap after which there will be none.
 PATIENCE = 10
+
+
+@numba.njit(**EXACT)
+def shrunk_norm(row, diagonal, weight):
+    """Return the norm s of the minimiser of 1/2 x'Dx - h'x + weight |x| (Patent Eq. 10-11).
+
+    The minimiser is x_k = h_k / (d_k + weight / s), the s that fits its own norm found on a line
+    (Algorithm 1): s -> |x(s) / s|^-1 is concave, and a line where all entries of D are equal, so
+    that Newton steps from s = 0 climb to its crossing of one and never pass it.
+
+    Parameters
+    ----------
+    row : array, shape (D, T)
+        h, already non-negative where the amplitudes have to be.
+    diagonal : array, shape (T,)
+        Entries of the diagonal matrix, above zero wherever ``row`` is not zero.
+    weight : float
+        Above zero.
+    """
+    size = 0.0
+    for _ in range(MOST_LINE_STEPS):
+        total = 0.0
+        slope = 0.0
+        for d in range(row.shape[0]):
+            for k in range(row.shape[1]):
+                below = size * diagonal[k] + weight
+                part = (row[d, k] / below)**2
+                total += part
+                slope += part * diagonal[k] / below
+        if total <= 1.0 or slope == 0.0:
+            break
+        step = (math.sqrt(total) - 1.0) * total / slope
+        size += step
+        if step <= 1e-15 * size:
+            break
+    return size
 
 
 @numba.njit(**REORDERED_UNCHECKED)

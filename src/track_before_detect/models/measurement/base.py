@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement
 from track_before_detect.models.motion.state_graph import StateGraph
 
-# Some frames of a batch: their numbers, or a slice.
-Frames = NDArray | slice
+# Which frames of a batch: a slice of them, or their numbers.
+Frames = slice | NDArray[np.int64]
 
 
 class MeasurementModel(Protocol):

@@ -19,7 +19,6 @@ from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
-from track_before_detect.solvers.search.position_scores import grid_shape
 from track_before_detect.types import Step
 
 # Distance of paths that one search adds, in widths of the PSF.
@@ -74,9 +73,8 @@ class ConvexDetector(PathDetector):
         """Return the paths to begin with."""
         if task.earlier is None:
             return []
-        shape = task.measurement.plane_shape(task.paths.frames.shape[1:])
-        return starting_paths(task.graph, task.times, grid_shape(task.measurement, shape),
-                              task.earlier, self.presence)
+        limits = task.measurement.limits(task.paths.frames.shape[1:])
+        return starting_paths(task.graph, task.times, limits, task.earlier, self.presence)
 
     def largest_value(self, search: PathSearch, measurement: MeasurementModel, times: NDArray,
                       ) -> Callable[[NDArray], float]:

@@ -23,7 +23,7 @@ START_STEPS = 2
 NEAR_VELOCITIES = 9
 
 
-def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int],
+def starting_paths(graph: StateGraph, times: NDArray, limits: NDArray,
                    earlier: EarlierPaths, presence: Presence | None = None) -> list[FoundPath]:
     """Return the paths of a graph that carry on those of an earlier batch.
 
@@ -33,8 +33,8 @@ def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int
         Of the batch to be searched.
     times : array, shape (T,)
         Of its frames, in any unit.
-    grid_shape : tuple of int
-        (Y, X) of the grid positions of a frame.
+    limits : array, shape (2,)
+        Largest x and y of a position in pixels.
     earlier : EarlierPaths
         What the batch before found.
     presence : Presence, optional
@@ -59,13 +59,15 @@ def starting_paths(graph: StateGraph, times: NDArray, grid_shape: tuple[int, int
         for number, positions in enumerate(earlier.positions) if number in seen])
     paths, turns = _nearest_paths(graph, wanted / graph.step_px)
     if coupling:
-        shifts = coupling.shifts(grid_shape[1], graph.step_px)
-        columns = np.clip(paths[..., 0].astype(int), 0, grid_shape[1] - 1)
+        n_columns = round(limits[0] / graph.step_px) + 1
+        columns = np.clip(paths[..., 0].astype(int), 0, n_columns - 1)
+        shifts = coupling.shifts(n_columns, graph.step_px)
         paths[..., 1] += shifts[np.arange(n_frames), columns]
-    inside = np.all((paths >= 0) & (paths < grid_shape[::-1]), axis=2)
+    paths *= graph.step_px
+    inside = np.all((paths >= 0) & (paths <= limits + 1e-9), axis=2)
     found = []
     for row in np.flatnonzero(np.isfinite(turns)):
-        path, cost = paths[row] * graph.step_px, float(graph.turn_cost * turns[row])
+        path, cost = paths[row], float(graph.turn_cost * turns[row])
         first, last = 0, n_frames - 1
         if presence is not None:
             # A target that has not left by the last common frame is still there in the new ones,

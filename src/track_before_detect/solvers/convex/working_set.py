@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels.fit.cholesky import find_blocks
+from track_before_detect.kernels.fit.least_squares import find_blocks
 from track_before_detect.kernels.psf import psf_stamps as stamp_kernels
 from track_before_detect.kernels.psf.measurement import render_path, whole_norm
 from track_before_detect.models.amplitudes import AmplitudeModel
