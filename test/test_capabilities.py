@@ -54,7 +54,7 @@ CASES = {
     'doppler_offset_bins': [Case(3.0, DOPPLER, 'doppler')],
     'doppler_ambiguities': [Case(1, DOPPLER, 'doppler')],
     'directions': [Case(1)],
-    'presence': [Case('partial')],
+    'presence': [Case('partial'), Case('partial', {'exposure_s': 0.5})],
     'amplitudes': [Case('signed'), Case('complex', scene='complex')],
     'amplitude_model': [Case('constant')],
     'false_alarm_rate': [Case(0.4, {'threshold': None}, 'small')],
@@ -165,8 +165,8 @@ def test_every_option_changes_something_or_is_refused(detector, option, case):
 
 @pytest.mark.parametrize(('detector', 'option', 'case'), [
     pair for pair in PAIRS if pair.values[0] in ('convex', 'greedy')
-    # after merge: take out these two conditions.
-    and pair.values[1] != 'presence' and pair.values[2].scene != 'complex'])
+    # after merge: take out this condition.
+    and pair.values[2].scene != 'complex'])
 def test_every_option_of_several_sensors_changes_something_or_is_refused(detector, option, case):
     assert_honoured_or_refused(detector, option, case, several_sensors)
 

@@ -8,8 +8,8 @@ An option at its default is never refused; an option without a :class:`Limit` is
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import fields
+from typing import Any, NamedTuple
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.options import DetectorOptions
@@ -17,8 +17,7 @@ from track_before_detect.options import DetectorOptions
 _DEFAULTS = {field.name: field.default for field in fields(DetectorOptions)}
 
 
-@dataclass(frozen=True)
-class Condition:
+class Condition(NamedTuple):
     """When a limit holds.
 
     Attributes
@@ -33,8 +32,7 @@ class Condition:
     holds: Callable[[DetectorOptions], bool]
 
 
-@dataclass(frozen=True)
-class Limit:
+class Limit(NamedTuple):
     """The values of an option that can be honoured.
 
     Attributes
@@ -69,8 +67,7 @@ class Limit:
                            for value in (_DEFAULTS[self.option], *self.allowed))
 
 
-@dataclass(frozen=True)
-class NoEffect:
+class NoEffect(NamedTuple):
     """An option that changes nothing under a condition, and is not refused there."""
 
     option: str
@@ -78,8 +75,7 @@ class NoEffect:
     when: Condition
 
 
-@dataclass(frozen=True)
-class Capability:
+class Capability(NamedTuple):
     """What detectors of one kind can do.
 
     Attributes

@@ -283,7 +283,7 @@ def test_what_the_detector_in_use_cannot_do_is_refused_and_the_search_goes_on(la
     station.wait_for_diagnostics(state='waiting for frames')
     result = change(station, 'directions', 3)
     assert not result.successful
-    assert 'directions needs the detector pc_dp, got convex' in result.reason
+    assert 'convex cannot honour directions=3, only automatic' in result.reason
     assert change(station, 'detector', 'pc_dp').successful
     assert change(station, 'directions', 3).successful
     station.received['/diagnostics'].clear()
