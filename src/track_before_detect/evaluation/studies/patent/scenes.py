@@ -95,7 +95,7 @@ def _pairs(distances: Sequence[float], snrs: Sequence[float], rng: np.random.Gen
     return _scene(positions, np.repeat(snrs, 2), SINGLE_SIGMA_PX, 192, rng)
 
 
-def _time() -> NDArray[np.float64]:
+def _time() -> NDArray:
     return np.arange(N_FRAMES) - 0.5 * (N_FRAMES - 1)
 
 
