@@ -1,5 +1,6 @@
 """The commands ``tbd evaluate`` and ``tbd bench``, with stand-ins for the work."""
 
+import dataclasses
 import json
 import logging
 import os
@@ -8,7 +9,10 @@ import pytest
 
 from track_before_detect import cli
 from track_before_detect.evaluation.benchmarks import convex as bench
-from track_before_detect.evaluation.engine.report import Quantity, SuiteResult
+from track_before_detect.evaluation.benchmarks import registry as benches
+from track_before_detect.evaluation.benchmarks.path_search import SearchCase
+from track_before_detect.evaluation.engine.quantities import Quantity
+from track_before_detect.evaluation.engine.suite import Suite, SuiteResult
 from track_before_detect.evaluation.studies import registry as suites
 
 
@@ -27,9 +31,9 @@ def stand_in(monkeypatch):
             raise KeyboardInterrupt
         return SuiteResult('Title', 'What was done.', [{'runs': runs, 'seed': seed}],
                            [Quantity('share', 0.5, 0.25, 0.75, runs, 'runs', '%', 'goal: 1 %')],
-                           {'runs': runs}, lambda figure: figure.subplots())
+                           {}, lambda figure: figure.subplots())
 
-    monkeypatch.setitem(suites.SUITES, 'study', suites.Suite('A study.', study))
+    monkeypatch.setitem(suites.SUITES, 'study', Suite('A study.', study))
 
 
 def run(*arguments):
@@ -58,7 +62,9 @@ def test_evaluate_prints_the_table_and_writes_all_files(stand_in, tmp_path, caps
     captured = capsys.readouterr()
     assert 'share     50.0 %  25.0 % to 75.0 %  4 runs  goal: 1 %' in captured.out
     assert captured.err == 'tbd: studying\n'
-    command = json.loads((output / 'summary.json').read_text())['command']
+    summary = json.loads((output / 'summary.json').read_text())
+    assert summary['settings'] == {'runs': 4, 'seed': 9}
+    command = summary['command']
     assert command == f"tbd evaluate study --runs 4 --seed 9 --output '{output}'"
     assert command in (output / 'report.md').read_text()
 
@@ -99,15 +105,17 @@ def test_bad_argument_is_one_sentence_exit_code_2_and_no_output(
 def test_bench_measures_and_writes_what_it_prints(tmp_path, monkeypatch, capsys):
     # Of the size that other tests calibrate.
     tiny = bench.Case('tiny', 'noise', {'height': 40, 'width': 44, 'n_frames': 6})
-    monkeypatch.setattr(bench, 'convex_cases', lambda large: [tiny] * (2 if large else 1))
-    monkeypatch.setattr(bench.bench_search, 'GRID_SHAPE', (20, 50))
+    searches = [SearchCase(name, 8, (20, 50)) for name in ('one', 'two')]
+    monkeypatch.setitem(benches.BENCHES, 'convex', dataclasses.replace(
+        bench.BENCH, cases=lambda large: {'cases': [tiny] * (2 if large else 1),
+                                          'searches': searches if large else []}))
     output = tmp_path / 'b.json'
     assert run('bench', 'convex', '--repeats', 1, '--large', '--output', output) == 0
     measured = json.loads(output.read_text())
     assert measured['bench'] == 'convex' and len(measured['cases']) == 2
     assert [case['n_positions'] for case in measured['searches']] == [1000, 1000]
     out = capsys.readouterr().out
-    assert bench.bench_table(measured) in out and str(output) in out
+    assert bench.BENCH.table(measured) in out and str(output) in out
 
 
 def test_help_says_what_is_written(capsys):

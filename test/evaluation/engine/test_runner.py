@@ -1,13 +1,16 @@
+import json
+from pathlib import Path
 import sys
 import threading
 
 import pytest
 
+from canned import quiet
 from track_before_detect.errors import MissingExtraError, ParameterError
-from track_before_detect.evaluation.engine import kept_results
-from track_before_detect.evaluation.engine.kept_results import KeptResults
+from track_before_detect.evaluation import studies
+from track_before_detect.evaluation.engine.kept_results import KeptResults, sources_of
 from track_before_detect.evaluation.engine.runner import Runner, Workers
-from track_before_detect.evaluation.engine.runs import seeds_of
+from track_before_detect.evaluation.engine.seeds import items_of, seeds_of
 from track_before_detect.parallel import usable_cores
 
 ITEMS = [{'seed': seed, 'scale': 0.5} for seed in (3, 1, 4, 1, 5)]
@@ -19,10 +22,6 @@ calls: list[int] = []
 @pytest.fixture(autouse=True)
 def no_calls():
     calls.clear()
-
-
-def quiet(label, done):
-    assert label and 0 <= done <= 1
 
 
 def scaled(item):
@@ -87,21 +86,36 @@ def test_result_cut_short_is_run_again(tmp_path):
     assert calls == [5]
 
 
-def test_results_of_other_code_do_not_count(tmp_path, monkeypatch):
-    runner = Runner(quiet, kept=KeptResults(tmp_path / 'runs.jsonl'))
+def test_results_of_other_code_do_not_count(tmp_path):
+    path = tmp_path / 'runs.jsonl'
+    runner = Runner(quiet, kept=KeptResults(path))
     runner.map(scaled, ITEMS, 'scaling')
-    monkeypatch.setattr(kept_results, '_sources_of', lambda name: {'kernels.new': b'pass'})
+    # A line names the function and a digest of its code.
+    lines = [json.loads(line) for line in path.read_text().split('\n') if line]
+    for line in lines:
+        name, digest = line[0].split()
+        line[0] = f'{name} {digest[::-1]}'
+    path.write_text(''.join(f'{json.dumps(line)}\n' for line in lines))
     calls.clear()
     assert runner.map(scaled, ITEMS, 'scaling') == HALVES
     assert calls == [3, 1, 4, 5]
 
 
 def test_sources_are_those_that_a_module_comes_to_import():
-    names = {name.removeprefix('track_before_detect.') for name in kept_results._sources_of(
-        'track_before_detect.evaluation.studies.ring.runs')}
+    sources = sources_of('track_before_detect.evaluation.studies.ring.runs')
+    names = {name.removeprefix('track_before_detect.') for name in sources}
     assert {'evaluation.studies.ring.runs', 'evaluation.metrics.paper_metrics',
             'solvers.ring.linking', 'kernels.ring.second_order', 'errors'} <= names
     assert not any(name.startswith(('ros', 'cli', 'solvers.convex')) for name in names)
+
+
+@pytest.mark.parametrize('study', sorted(
+    path.parent.name for path in Path(studies.__file__).parent.glob('*/runs.py')))
+def test_results_stay_when_a_table_or_a_picture_changes(study):
+    names = {name.rpartition('.')[2] for name in
+             sources_of(f'track_before_detect.evaluation.studies.{study}.runs')}
+    assert 'runs' in names
+    assert not names & {'suite', 'report', 'tables', 'pictures', 'quantities'}
 
 
 def test_progress_counts_what_is_known_already(tmp_path):
@@ -147,3 +161,8 @@ def test_seeds_depend_on_study_and_part_and_a_longer_study_begins_alike():
     assert not set(seeds_of(1, 'a', 5)) & set(seeds_of(1, 'b', 5))
     assert not set(seeds_of(1, 'a', 5)) & set(seeds_of(2, 'a', 5))
     assert all(0 <= seed < 2**53 for seed in seeds_of(1, 'a', 5))
+
+
+def test_items_of_a_part_differ_in_their_seed_alone():
+    assert items_of(1, 'a', 2, snr=3.0) == [{'snr': 3.0, 'seed': seed}
+                                            for seed in seeds_of(1, 'a', 2)]

@@ -1,29 +1,21 @@
 import numpy as np
 import pytest
 
+from canned import Canned
 from track_before_detect.evaluation.engine.report import write_suite_result
-from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.studies.compare import (
-    runs as compare_runs,
-)
-from track_before_detect.evaluation.studies.compare import (
-    suite as compare_suite,
-)
+from track_before_detect.evaluation.studies.compare import runs as compare_runs
 from track_before_detect.evaluation.studies.compare.details import reasons, Standing
-from track_before_detect.evaluation.studies.compare.runs import SCENES
+from track_before_detect.evaluation.studies.compare.scenes import n_targets, SCENES, shape_of
+from track_before_detect.evaluation.studies.compare.suite import run_compare
 from track_before_detect.options import DETECTORS
-
-
-def quiet(label, done):
-    assert label and 0 <= done <= 1
 
 
 @pytest.mark.parametrize('scene', SCENES)
 def test_scenes_stay_inside_and_have_their_targets(scene):
-    n_frames, height, width = compare_runs.shape_of(scene)
+    n_frames, height, width = shape_of(scene)
     for seed in range(20):
         paths = SCENES[scene](np.random.default_rng(seed))
-        assert paths.shape == (compare_runs.n_targets(scene), n_frames, 2)
+        assert paths.shape == (n_targets(scene), n_frames, 2)
         assert np.nanmin(paths) >= 0 and np.nanmax(paths) <= min(height, width) - 1
 
 
@@ -62,37 +54,29 @@ def test_statistics_are_told_apart_by_whether_they_are_of_a_target():
     assert not noise['right'] and min(noise['false']) > 4
 
 
-@pytest.fixture
-def stand_ins(monkeypatch):
+def search(item):
     """Let ours find everything but crossing targets, greedy those, and the rest every third."""
-    monkeypatch.setattr(compare_suite, '_with_thresholds', lambda wanted, *_: {
-        name: {**options, 'threshold': 9.0} for name, options in wanted.items()})
-
-    def search(item):
-        n_targets = (0 if item['scene'] not in SCENES
-                     else compare_runs.n_targets(item['scene']))
-        results = {}
-        for name in item['methods']:
-            best = {'convex': 'crossing' not in item['scene'],
-                    'greedy': 'crossing' in item['scene']}.get(name, item['seed'] % 3 == 0)
-            results[name] = {'found': n_targets * best, 'false': int(name == 'mt_dp'),
-                             'gospa': 0.0 if best else 7.0, 'purity': 0.9 * n_targets * best,
-                             'completeness': 0.8 * n_targets * best}
-        return results
-
-    def statistics(item):
-        noise = item['scene'] == 'noise'
-        return {name: {'right': [] if noise else [7.0],
-                       'false': [6.0] if noise and item['seed'] % 5 == 0 else []}
-                for name in item['methods']}
-
-    monkeypatch.setattr(compare_runs, 'search', search)
-    monkeypatch.setattr(compare_runs, 'statistics', statistics)
+    count = n_targets(item['scene'])
+    results = {}
+    for name in item['methods']:
+        best = {'convex': 'crossing' not in item['scene'],
+                'greedy': 'crossing' in item['scene']}.get(name, item['seed'] % 3 == 0)
+        results[name] = {'found': count * best, 'false': int(name == 'mt_dp'),
+                         'gospa': 0.0 if best else 7.0, 'purity': 0.9 * count * best,
+                         'completeness': 0.8 * count * best}
+    return results
 
 
-def test_report_names_the_best_method_of_each_scene(stand_ins, tmp_path):
+def statistics(item):
+    noise = item['scene'] == 'noise'
+    return {name: {'right': [] if noise else [7.0],
+                   'false': [6.0] if noise and item['seed'] % 5 == 0 else []}
+            for name in item['methods']}
+
+
+def test_report_names_the_best_method_of_each_scene(tmp_path):
     pytest.importorskip('matplotlib')
-    result = compare_suite.run_compare(12, 1, Runner(quiet))
+    result = run_compare(12, 1, Canned(answers={'search': search, 'statistics': statistics}))
     values = {quantity.name: quantity for quantity in result.quantities}
     assert values['line, SNR 1.5: best method'].note == 'convex'
     assert values['two crossing, SNR 2: best method'].note == 'greedy'

@@ -4,6 +4,7 @@ import json
 import numpy as np
 import pytest
 
+from canned import quiet
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.engine.report import write_suite_result
 from track_before_detect.evaluation.engine.runner import Runner
@@ -12,10 +13,6 @@ from track_before_detect.evaluation.studies.registry import suite_named, SUITES
 from track_before_detect.simulation.scenarios import simulate
 
 TINY = {'height': 40, 'width': 44, 'n_frames': 6, 'speed_px_per_frame': 0.5, 'snr': 8.0}
-
-
-def quiet(label, done):
-    assert label and 0 <= done <= 1
 
 
 @pytest.fixture(scope='module')
@@ -109,13 +106,17 @@ def test_picture_that_fails_leaves_the_files_of_the_run_before(result, tmp_path)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
-@pytest.mark.parametrize(('runs', 'seed', 'overrides', 'said'), [
-    (0, 0, {}, 'runs must be at least 1, got 0'),
-    (1, -1, {}, 'seed must not be negative, got -1'),
-    (1, 0, {'n_targets': 0}, 'n_targets must be at least 1, got 0')])
-def test_arguments_are_checked(runs, seed, overrides, said):
+@pytest.mark.parametrize('suite', SUITES)
+@pytest.mark.parametrize(('runs', 'seed', 'said'), [
+    (0, 0, 'runs must be at least 1, got 0'), (1, -1, 'seed must not be negative, got -1')])
+def test_runs_and_seeds_that_no_study_can_be_made_with_are_refused(suite, runs, seed, said):
     with pytest.raises(ParameterError, match=said):
-        run_detection(runs, seed, Runner(quiet), **overrides)
+        SUITES[suite].run(runs, seed, Runner(quiet))
+
+
+def test_scene_without_targets_is_refused():
+    with pytest.raises(ParameterError, match='n_targets must be at least 1, got 0'):
+        run_detection(1, 0, Runner(quiet), n_targets=0)
 
 
 def test_unknown_suite_is_told_the_nearest():

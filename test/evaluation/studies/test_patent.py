@@ -1,26 +1,20 @@
 """The scenes are what the text describes, and the table is what was found in them."""
 
 import csv
-import dataclasses
 
 import numpy as np
 import pytest
 
-from track_before_detect.errors import ParameterError
+from canned import Canned
 from track_before_detect.evaluation.engine.report import write_suite_result
-from track_before_detect.evaluation.engine.runner import Runner
-from track_before_detect.evaluation.studies.patent import suite as patent_suite
+from track_before_detect.evaluation.studies.patent.figures import CONTINUATION, FIGURES, GREEDY
 from track_before_detect.evaluation.studies.patent.scenes import (
-    CONTINUATION,
     CROSSING_PX,
-    FIGURES,
-    GREEDY,
     MAX_ACCELERATION_PX,
     MAX_SPEED_PX,
     PARALLEL_PX,
 )
 from track_before_detect.evaluation.studies.patent.suite import METHODS, run_patent
-from track_before_detect.evaluation.studies.registry import SUITES
 from track_before_detect.models.measurement.psf import GaussianPsf
 
 BY_NUMBER = {figure.number: figure for figure in FIGURES}
@@ -39,13 +33,7 @@ def met(number, of_scene, found):
 
 @pytest.fixture(scope='module')
 def result():
-    # A threshold in place of the rate, so that nothing is calibrated.
-    quick = [dataclasses.replace(figure, options={
-        **{key: value for key, value in figure.options.items() if key != 'false_alarm_rate'},
-        'threshold': figure.options.get('threshold', 7.1)}) for figure in FIGURES]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(patent_suite, 'FIGURES', quick)
-        return run_patent(2, 3, Runner(lambda label, done: None))
+    return run_patent(2, 3, Canned(any_threshold=7.1))
 
 
 @pytest.mark.parametrize('number', [figure.number for figure in FIGURES])
@@ -164,13 +152,3 @@ def test_there_is_a_picture_of_each_figure_and_one_of_the_table(result, tmp_path
         assert image.imread(tmp_path / f'{name}.png').std() > 0
     with open(tmp_path / 'patent.csv', newline='') as file:
         assert len(list(csv.DictReader(file))) == len(result.rows)
-
-
-@pytest.mark.parametrize(('runs', 'seed'), [(0, 0), (1, -1)])
-def test_arguments_are_checked(runs, seed):
-    with pytest.raises(ParameterError):
-        run_patent(runs, seed, Runner(lambda label, done: None))
-
-
-def test_suite_is_listed():
-    assert SUITES['patent'].run is run_patent

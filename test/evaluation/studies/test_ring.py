@@ -1,20 +1,18 @@
 import numpy as np
 import pytest
 
+from canned import Canned
 from track_before_detect.evaluation.engine.report import write_suite_result
-from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.studies.ring import runs as ring_runs
-from track_before_detect.evaluation.studies.ring import suites as ring_suites
+from track_before_detect.evaluation.studies.ring.multi import run_ring_multi
 from track_before_detect.evaluation.studies.ring.scenes import (
     point_frames,
     ring_multi,
     ring_single,
 )
+from track_before_detect.evaluation.studies.ring.shares import Shares
+from track_before_detect.evaluation.studies.ring.single import run_ring_single
 from track_before_detect.solvers.ring.merit_functions import METHODS
-
-
-def quiet(label, done):
-    assert label and 0 <= done <= 1
 
 
 def test_targets_of_figure_7_meet_where_the_text_says():
@@ -57,7 +55,7 @@ def test_bright_targets_are_found_everywhere_by_every_method():
 def test_differences_are_taken_run_by_run():
     rng = np.random.default_rng(0)
     common = rng.uniform(0, 0.5, (1, 1, 1, 40, 1))
-    table = ring_suites.Shares(common + 0.1 * np.arange(6))
+    table = Shares(common + 0.1 * np.arange(6))
     methods = list(METHODS)
     quantity = table.quantity('gain', lambda p: (p[methods[1]] - p[methods[0]]).mean())
     assert quantity.value == pytest.approx(0.1)
@@ -66,16 +64,13 @@ def test_differences_are_taken_run_by_run():
     assert alone.low < alone.value < alone.high
 
 
-@pytest.mark.parametrize(('name', 'run'), [('ring-single', ring_suites.run_ring_single),
-                                           ('ring-multi', ring_suites.run_ring_multi)])
-def test_reports_hold_every_point_and_what_the_paper_states(tmp_path, monkeypatch, name, run):
+@pytest.mark.parametrize(('name', 'run'), [('ring-single', run_ring_single),
+                                           ('ring-multi', run_ring_multi)])
+def test_reports_hold_every_point_and_what_the_paper_states(tmp_path, name, run):
     pytest.importorskip('matplotlib')
-    monkeypatch.setattr(ring_suites, '_least_time', lambda call: 1e-3)
-    monkeypatch.setattr(ring_runs, 'single', lambda item: dict.fromkeys(
-        METHODS, item['seed'] % item['n_frames']))
-    monkeypatch.setattr(ring_runs, 'multi', lambda item: dict.fromkeys(
-        METHODS, [item['seed'] % 200, item['seed'] % 50]))
-    result = run(2, 1, Runner(quiet))
+    result = run(2, 1, Canned(answers={
+        'single': lambda item: dict.fromkeys(METHODS, item['seed'] % item['n_frames']),
+        'multi': lambda item: dict.fromkeys(METHODS, [item['seed'] % 200, item['seed'] % 50])}))
     assert len(result.rows) == 2 * (54 if name == 'ring-single' else 12)
     assert all(quantity.note.startswith('paper: ') for quantity in result.quantities)
     write_suite_result(tmp_path, name, result, 'the command')

@@ -18,8 +18,8 @@ SINGLE_SIGMA_PX = 3.0
 PAIR_CENTRES_PX = (32.0, 96.0, 160.0)
 PAIR_DISTANCES_PX = (9.0, 6.0, 3.0)
 PAIR_SNR = 12.0
-# At 6 px a second path pays in the mean from SNR 9 on; what greedy leaves of a pair passes the
-# threshold on either side from SNR 16 on.
+# Above, between and below where a second path pays and where greedy leaves a third
+# (docs/constants/evaluation.md).
 PAIR_SNRS = (30.0, 12.0, 6.0)
 PAIR_DISTANCE_PX = 6.0
 SEPARATE_SINGLE_SNRS = (14.0, 11.0, 8.0, 3.0)
@@ -95,7 +95,7 @@ def _pairs(distances: Sequence[float], snrs: Sequence[float], rng: np.random.Gen
     return _scene(positions, np.repeat(snrs, 2), SINGLE_SIGMA_PX, 192, rng)
 
 
-def _time() -> NDArray[np.float64]:
+def _time() -> NDArray:
     return np.arange(N_FRAMES) - 0.5 * (N_FRAMES - 1)
 
 
