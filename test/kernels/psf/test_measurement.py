@@ -90,13 +90,15 @@ def test_slopes_are_those_on_the_plane():
         np.testing.assert_allclose(seen(POSITIONS)[:, 1 + axis], change, atol=0.02)
 
 
-def test_what_lies_behind_the_horizon_of_a_map_is_not_seen():
+@pytest.mark.parametrize('weights', [np.ones((1, *SHAPES[0])), np.zeros((0, 0, 0))],
+                         ids=['weights', 'no weights'])
+def test_what_lies_behind_the_horizon_of_a_map_is_not_seen(weights):
     view = MultiSensor(PSFS[:1], SHAPES[:1], np.zeros(1, int),
                      np.array([[[1.0, 0, 0], [0, 1, 0], [-0.2, 0, 1]]]), (12, 15))
     out, norms = np.empty((1, 3)), np.empty(1)
     frames = np.ones((1, *SHAPES[0]), np.float32)
     kernel.evaluate(view.compiled(), np.array([[9.0, 3]]), frames,
-                    np.ones((1, *SHAPES[0]), np.float32), SIGNED, out, norms)
+                    weights.astype(np.float32), SIGNED, out, norms)
     assert not out.any() and not norms.any()
 
 
