@@ -200,6 +200,13 @@ def describe() -> list[dict[str, Any]]:
             for field in dataclasses.fields(DetectorOptions)]
 
 
+def is_neutral(value: Any) -> bool:
+    """Return whether a ROS parameter stands for automatic: it is 0, or an empty text or list."""
+    if isinstance(value, (str, list, tuple)):
+        return not len(value)
+    return value == 0 and not isinstance(value, (bool, np.bool_))
+
+
 def range_words(option: Mapping[str, Any]) -> list[str]:
     """Return what an option allows, in words for a list of facts.
 

@@ -30,7 +30,13 @@ from track_before_detect.cli.console import (
     TRAJECTORY_HEADER,
 )
 from track_before_detect.errors import DataError, MissingExtraError
-from track_before_detect.options import describe, DetectorOptions, DETECTORS, parse_option
+from track_before_detect.options import (
+    describe,
+    DetectorOptions,
+    DETECTORS,
+    is_neutral,
+    parse_option,
+)
 from track_before_detect.recordings.overlay import write_overlay
 from track_before_detect.recordings.readers import open_recording
 from track_before_detect.recordings.recording import Recording
@@ -159,8 +165,7 @@ def _options_among_parameters(path: Path, parameters: Mapping[Any, Any]) -> dict
     if others:
         print(f'tbd: note: {path} also holds parameters of the node, not used here: '
               f'{", ".join(others)}', file=sys.stderr)
-    # ROS parameters cannot be empty: there 0, '' and [] stand for automatic.
-    return {name: None if optional[name] and value in (0, '', []) else value
+    return {name: None if optional[name] and is_neutral(value) else value
             for name, value in parameters.items() if name in optional}
 
 

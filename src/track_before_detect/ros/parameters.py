@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from rcl_interfaces.msg import (
     FloatingPointRange,
     IntegerRange,
@@ -25,7 +24,7 @@ from rclpy.qos_overriding_options import InvalidQosOverridesError
 
 from track_before_detect.checks import checked_number
 from track_before_detect.errors import ParameterError, suggestion
-from track_before_detect.options import describe, DetectorOptions
+from track_before_detect.options import describe, DetectorOptions, is_neutral
 
 INT32_MAX = 2**31 - 1
 FLOAT_MAX = 1e308
@@ -70,7 +69,7 @@ class NodeParameter:
     def check(self, value: Any) -> Any:
         """Return ``value`` in its ROS type, or raise ParameterError."""
         if self.is_option:
-            if self.optional and _is_neutral(value):
+            if self.optional and is_neutral(value):
                 return NEUTRAL[self.kind]
             checked = getattr(DetectorOptions(**{self.name: value}), self.name)
             if self.kind == 'array':
@@ -157,7 +156,7 @@ def options_from_parameters(
     for parameter in parameters:
         if parameter.is_option:
             value = values[parameter.name]
-            automatic = parameter.optional and _is_neutral(value)
+            automatic = parameter.optional and is_neutral(value)
             options[parameter.name] = None if automatic else value
     return DetectorOptions.from_mapping(options)
 
@@ -257,14 +256,6 @@ class ParameterizedNode(Node):
 
     def _unknown(self, name: str) -> str:
         return f'unknown parameter {name!r}; {suggestion(name, self._table)}'
-
-
-def _is_neutral(value: Any) -> bool:
-    if isinstance(value, (bool, np.bool_)):
-        return False
-    if isinstance(value, (str, list, tuple)):
-        return not len(value)
-    return value == 0
 
 
 def _plain(value: Any) -> Any:
