@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.measurement.base import grid_shape
 from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import Psf
-from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
+from track_before_detect.models.measurement.streak import StreakPsf
 from track_before_detect.models.motion.range_doppler import build_range_doppler_graph
 from track_before_detect.models.motion.state_graph import (
     build_state_graph,
@@ -38,10 +39,7 @@ from track_before_detect.solvers.calibration.threshold import (
     threshold_for,
 )
 from track_before_detect.solvers.convex.working_set import WorkingSet
-from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
-from track_before_detect.solvers.search.constant_search import ConstantSearch
-from track_before_detect.solvers.search.partial_search import PartialSearch
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.path_search import path_search, PathSearch, search_size
 from track_before_detect.solvers.search.periodic_columns import (
     doppler_margin,
     in_frame,
@@ -49,9 +47,6 @@ from track_before_detect.solvers.search.periodic_columns import (
     strip,
     strip_margin,
 )
-from track_before_detect.solvers.search.position_scores import grid_shape
-from track_before_detect.solvers.search.sheared_plane import ShearedPlane
-from track_before_detect.solvers.search.viterbi_table import table_bytes
 from track_before_detect.types import Progress
 
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
@@ -224,17 +219,9 @@ class PathDetector(BatchDetector):
                 'max_acceleration_px_s2, doppler_ambiguities or batch_length')
         return graph
 
-    def _affordable(self, graph, shape, psf=None):
-        grid = grid_shape(self.psf, shape)
-        if graph.coupling is not None:
-            grid = ShearedPlane(graph, grid).shape
-        states = graph.n_segments * graph.n_velocities * float(np.prod(grid))
-        # A search of targets that enter and leave keeps the last segment as well.
-        memory = 4 * states if self.presence else table_bytes(graph, grid)
-        if isinstance(psf, StreakPsf):
-            # Streaks of each shape have scores of their own, which the table copies.
-            n_scores = len(streaks_of(graph, psf)[0]) * graph.n_frames * float(np.prod(grid))
-            memory += 8 * n_scores
+    def _affordable(self, graph: StateGraph, shape: tuple[int, int],
+                    psf: Psf | MultiSensor | None = None) -> bool:
+        memory, states = search_size(graph, psf or self.psf, shape, self.presence)
         return (memory <= MOST_TABLE_BYTES
                 and states * (1 + 4 * graph.reach) <= MOST_COMPARISONS)
 
@@ -405,13 +392,9 @@ class PathDetector(BatchDetector):
         self._search[1].set_weights(weights)
         return self._search[1]
 
-    def _new_search(self, graph, psf, shape, n_threads):
-        constant = self.model.is_constant
-        if self.presence is None:
-            full = ConstantSearch if constant else PathSearch
-            return full(graph, psf, shape, self.model, n_threads)
-        partial = ConstantPartialSearch if constant else PartialSearch
-        return partial(graph, psf, shape, self.model, self.presence, n_threads)
+    def _new_search(self, graph: StateGraph, psf: Psf | MultiSensor, shape: tuple[int, int],
+                    n_threads: int) -> PathSearch:
+        return path_search(graph, psf, shape, self.model, self.presence, n_threads)
 
 
 def _check_exposure(options, view):

@@ -12,7 +12,8 @@ from track_before_detect.models.amplitudes import (
     SIGNED,
 )
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
-from track_before_detect.solvers.search.position_scores import PositionScores
+from track_before_detect.models.measurement.psf_scores import PsfScores
+from track_before_detect.solvers.search.viterbi_table import RowThreads
 
 PSFS = {
     'narrow': GaussianPsf(0.7),
@@ -26,7 +27,7 @@ SHAPE = (13, 17)
 
 def scores_for(psf, shape, code=NON_NEGATIVE):
     n_rows = psf.oversampling * (shape[0] - 1) + 1
-    return PositionScores(psf, shape, AmplitudeModel(code), lambda work: work(0, n_rows))
+    return PsfScores(psf, shape, AmplitudeModel(code), RowThreads(n_rows, 1))
 
 
 def weights_of(kind):

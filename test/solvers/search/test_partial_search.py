@@ -4,6 +4,9 @@ import itertools
 
 import numpy as np
 import pytest
+from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
+from track_before_detect.solvers.search.partial_search import PartialSearch
+from track_before_detect.solvers.search.position_scores import PositionScores
 
 from false_alarms import assert_rate_is_realised
 import track_before_detect as tbd
@@ -23,9 +26,6 @@ from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.calibration.threshold import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
-from track_before_detect.solvers.search.partial_search import PartialSearch
-from track_before_detect.solvers.search.position_scores import PositionScores
 
 PRESENCE = Presence(0.9, 1.5, 2.5)
 OF_CONSTANT = Presence(0.0, 0.2, 0.4)

@@ -19,7 +19,7 @@ from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitS
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search import viterbi_table as path_table
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.path_search import path_search
 from track_before_detect.solvers.search.viterbi_table import table_bytes, ViterbiTable
 
 NO_MASK = np.zeros((0, 0, 0), bool)
@@ -59,9 +59,9 @@ def test_changed_scores_give_the_table_of_a_fill(monkeypatch, name, sign, width,
     kept = ViterbiTable(graph, scores.shape[1:], n_threads)
     for _ in range(6):
         fresh = ViterbiTable(graph, scores.shape[1:])
-        fresh.fill(scores)
+        filled = fresh.fill(scores)
         level = float(np.quantile(fresh.best, generator.choice([0.0, 0.8, 0.99, 1.0])))
-        assert kept.update(scores, level) == fresh.best.max()
+        assert kept.update(scores, level) == filled == fresh.best.max()
         assert (kept.best >= fresh.best).all()
         told = np.maximum(kept.best, fresh.best) > level
         np.testing.assert_array_equal(kept.best[told], fresh.best[told])
@@ -139,12 +139,12 @@ def test_frames_that_differ_in_places_are_searched_as_if_new(psf, code, weighted
     frames = generator.standard_normal((T, H, W)).astype(np.float32)
     if code == COMPLEX:
         frames = (frames + 1j * frames[::-1]).astype(np.complex64)
-    kept = PathSearch(graph, psf, (H, W), model)
+    kept = path_search(graph, psf, (H, W), model)
     for number in range(7):
         if weighted and number % 3 == 0:
             weights = generator.uniform(0.5, 1.5, (T, H, W))
             kept.set_weights(weights)
-        fresh = PathSearch(graph, psf, (H, W), model)
+        fresh = path_search(graph, psf, (H, W), model)
         fresh.set_weights(weights if weighted else None)
         np.testing.assert_equal(*(
             [dataclasses.astuple(path) for path in search.best_paths(
@@ -158,7 +158,7 @@ def test_frames_that_differ_in_places_are_searched_as_if_new(psf, code, weighted
 
 def pursued(frames, valid, model, graph, threshold):
     psf = GaussianPsf(1.0)
-    search = PathSearch(graph, psf, (H, W), model)
+    search = path_search(graph, psf, (H, W), model)
     search.set_weights(valid)
     valid = NO_MASK if valid is None else valid
     paths = WorkingSet(frames, valid, psf, threshold, model)
@@ -178,9 +178,8 @@ def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, ma
     monkeypatch.setattr(path_table, 'COST_OF_UPDATE', 0.0)
     quick = pursued(frames, valid, model, graph, threshold)
 
-    def from_the_start(table, scores, level, rows=None):
-        table.fill(scores)
-        return float(table.best.max())
+    def from_the_start(table, scores, level, rows=None, per_frame=0.0):
+        return table.fill(scores, per_frame)
 
     monkeypatch.setattr(ViterbiTable, 'update', from_the_start)
     full = pursued(frames, valid, model, graph, threshold)

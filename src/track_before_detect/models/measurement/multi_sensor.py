@@ -12,7 +12,11 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement, curvatures
+from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.measurement.base import OverRows, Scores, SearchWork
+from track_before_detect.models.measurement.multi_sensor_scores import MultiSensorScores
 from track_before_detect.models.measurement.psf import Psf
+from track_before_detect.models.motion.state_graph import StateGraph
 
 # Places of the plane, along each side, at which the sharpness of the PSFs is looked at.
 N_PLACES = 3
@@ -92,6 +96,23 @@ class MultiSensor:
     def limits(self, _: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position."""
         return np.array([self.shape[1] - 1.0, self.shape[0] - 1.0])
+
+    def n_kinds(self, graph: StateGraph) -> int:
+        """Return how many scores each position has, between which the velocity chooses."""
+        return 1
+
+    def scores(self, graph: StateGraph, shape: tuple[int, int], amplitudes: AmplitudeModel,
+               over_rows: OverRows) -> Scores:
+        """Return the scores of all positions; see ``MeasurementModel``."""
+        return MultiSensorScores(self, amplitudes, over_rows)
+
+    def search_work(self, graph: StateGraph, is_complex: bool) -> SearchWork:
+        """Return what a search of the paths of a graph has to compute."""
+        pixels = np.array([(2 * psf.half_width + 1)**2 for psf in self.psfs])
+        stamps = np.array([len(psf.coefficients) * psf.optics().nodes.size for psf in self.psfs])
+        n_seen = np.bincount(self.sensor, minlength=len(self.psfs))
+        return SearchWork(0, 0, int(pixels.sum()), int((1 + is_complex) * pixels @ n_seen),
+                          int(stamps @ n_seen), int((stamps * pixels) @ n_seen))
 
     def window(self, shape: tuple[int, int]) -> MultiSensor:
         """Return the view of a part (H, W) in the middle of the plane."""

@@ -263,7 +263,7 @@ class ViterbiTable:
         size = float(self._largest.max(axis=0).sum())
         if self._end_costs[0] is not None:
             size += float(self._motion.entry + self._motion.leaving)
-        rounding = 4 * (n_frames + len(self._segments)) * np.finfo(np.float32).eps * size
+        rounding = 4 * (n_frames + len(self._segments)) * float(np.finfo(np.float32).eps) * size
         return float(rise.max(axis=0).sum()) + rounding
 
     def _wanted(self, level: float) -> tuple[NDArray, NDArray]:
