@@ -170,7 +170,8 @@ def test_the_targets_found_are_those_of_a_cold_start(name, seed):
 def test_paths_of_no_target_are_not_kept(code):
     model = AmplitudeModel(code)
     frames = np.random.default_rng(7).standard_normal((T, H, W)).astype(np.float32)
-    largest = path_search(graph_of(model=model), GaussianPsf(1.0), (H, W), model).best_value(frames)
+    search = path_search(graph_of(model=model), GaussianPsf(1.0), (H, W), model)
+    largest = search.best_value(frames)
     rng = np.random.default_rng(8)
     told = [rng.uniform((4, 4), (W - 5, H - 5)) + np.zeros((T, 2)) for _ in range(40)]
     start = starting_paths(graph_of(model=model), TIMES, GRID, EarlierPaths(told, KNOWN))

@@ -15,6 +15,7 @@ from track_before_detect.models.amplitudes import (
 )
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
+from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
@@ -50,21 +51,27 @@ def changed(generator, scores, sign):
 @pytest.mark.parametrize('sign', ['up', 'down', 'both'])
 @pytest.mark.parametrize('width', [31, 150])
 @pytest.mark.parametrize('n_threads', [1, 2])
-def test_changed_scores_give_the_table_of_a_fill(monkeypatch, name, sign, width, n_threads):
+@pytest.mark.parametrize('presence', [None, Presence(0.8, 1.5, 2.5)], ids=['full', 'partial'])
+def test_changed_scores_give_the_table_of_a_fill(monkeypatch, name, sign, width, n_threads,
+                                                 presence):
     # Not even when filling would be quicker.
     monkeypatch.setattr(path_table, 'COST_OF_UPDATE', 0.0)
     generator = np.random.default_rng([len(name), len(sign), width])
     graph = graph_named(name, np.array([0.0, 1, 2, 3, 5, 6, 7, 8, 9]))
     scores = generator.exponential(size=(9, 29, width)).astype(np.float32)
-    kept = ViterbiTable(graph, scores.shape[1:], n_threads)
+    kept = ViterbiTable(graph, scores.shape[1:], n_threads, presence=presence)
+    per_frame = presence.per_frame if presence else 0.0
     for _ in range(6):
-        fresh = ViterbiTable(graph, scores.shape[1:])
-        filled = fresh.fill(scores)
+        fresh = ViterbiTable(graph, scores.shape[1:], presence=presence)
+        filled = fresh.fill(scores, per_frame)
         level = float(np.quantile(fresh.best, generator.choice([0.0, 0.8, 0.99, 1.0])))
-        assert kept.update(scores, level) == filled == fresh.best.max()
+        assert kept.update(scores, level, per_frame=per_frame) == filled == fresh.best.max()
         assert (kept.best >= fresh.best).all()
         told = np.maximum(kept.best, fresh.best) > level
         np.testing.assert_array_equal(kept.best[told], fresh.best[told])
+        for again, anew in zip(*(table.best_paths(level, 3, 5) for table in (kept, fresh)),
+                               strict=True):
+            np.testing.assert_equal(again._asdict(), anew._asdict())
         scores = changed(generator, scores, sign)
 
 
@@ -191,11 +198,12 @@ def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, ma
     np.testing.assert_array_equal(quick.paths.positions, full.paths.positions)
 
 
+@pytest.mark.parametrize('presence', [None, Presence(0.8, 1.5, 2.5)], ids=['full', 'partial'])
 @pytest.mark.parametrize('name', GRAPHS)
-def test_the_memory_of_a_table_is_told_before_it_is_taken(name):
+def test_the_memory_of_a_table_is_told_before_it_is_taken(name, presence):
     graph = graph_named(name, np.arange(12.0))
-    table = ViterbiTable(graph, (61, 83))
+    table = ViterbiTable(graph, (61, 83), presence=presence)
     table.fill(np.zeros((12, 61, 83), np.float32))
     taken = sum(array.nbytes for array in [table.best, table._scores, *table._tables])
     # Less margins of a few rows.
-    assert 0.9 * taken <= table_bytes(graph, (61, 83)) <= taken
+    assert 0.9 * taken <= table_bytes(graph, (61, 83), presence) <= taken

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.kernels.rows import ABSENT
 from track_before_detect.models.measurement.base import Scores
 from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.search.viterbi_table import TracedPath, ViterbiTable
@@ -45,16 +46,15 @@ class Additive:
         """Return the largest value of any path."""
         self.forget()
         scores = self._scores.scores(frames)
-        return max(table.fill(sign * scores if sign < 0 else scores, self._per_frame)
+        return max(table.fill(_signed(scores, sign), self._per_frame)
                    for sign, table in self._tables)
 
     def best(self, frames: NDArray, above: float, radius: int, limit: int,
              ) -> tuple[float, list[TracedPath]]:
         """Return the largest value of any path, and paths of values above a bound, apart."""
         scores, rows = self._scores_of(frames)
-        largest = max(
-            table.update(sign * scores if sign < 0 else scores, above, rows, self._per_frame)
-            for sign, table in self._tables)
+        largest = max(table.update(_signed(scores, sign), above, rows, self._per_frame)
+                      for sign, table in self._tables)
         return largest, [path for _, table in self._tables
                          for path in table.best_paths(above, radius, limit)]
 
@@ -74,3 +74,8 @@ class Additive:
         rows = self._scores.renew(self._kept, frames, changed)
         self._seen[changed] = frames[changed]
         return self._kept, rows
+
+
+def _signed(scores: NDArray, sign: int) -> NDArray:
+    """Return scores times a sign; where no path may be, none may be of either sign."""
+    return scores if sign > 0 else np.where(scores == ABSENT, ABSENT, -scores)
