@@ -185,3 +185,66 @@ class EveryPath:
                 if objective - below <= gap:
                     break
         return x
+
+
+def best_in_any_frames(graph, scores, presence=None, squares=None, kinds=None):
+    """Return the largest value of any path of a graph in any frames, and its positions (T, 2).
+
+    Positions are in grid steps, NaN where the path is absent. Without ``presence`` paths last from
+    the first frame to the last.
+
+    scores : array, shape (C * T, Y, X), one for each kind; -inf where no path may be
+    squares : array, of the same shape
+        n^2 where scores are n h of a constant amplitude, whose statistic is sought.
+    kinds : array of int, shape (V,)
+    """
+    n_frames, (n_y, n_x) = graph.n_frames, scores.shape[1:]
+    kinds = np.zeros(graph.n_velocities, int) if kinds is None else kinds
+    start_y, start_x = np.mgrid[:n_y, :n_x]
+    best, found = -np.inf, None
+    for j_first, j_last in itertools.combinations_with_replacement(range(graph.n_segments), 2):
+        if presence is None and (j_first, j_last) != (0, graph.n_segments - 1):
+            continue
+        frames = range(graph.knots[j_first], graph.knots[j_last + 1])
+        for chosen in itertools.product(range(graph.n_velocities), repeat=j_last - j_first + 1):
+            turns = np.abs(np.diff(graph.grid[list(chosen)], axis=0))
+            if turns.size and turns.max() > graph.reach:
+                continue
+            start = np.stack([start_x, start_y], axis=-1)
+            possible = np.zeros((n_y, n_x))
+            met, seen, places = (np.full((n_frames, n_y, n_x, *more), np.nan)
+                                 for more in ((), (), (2,)))
+            for j, velocity in enumerate(chosen, j_first):
+                possible[~inside(start, n_y, n_x)] = -np.inf
+                for t in range(graph.knots[j], graph.knots[j + 1]):
+                    places[t] = start + graph.moves[t, velocity]
+                    x, y = np.moveaxis(places[t].astype(int), -1, 0)
+                    here = (kinds[velocity] * n_frames + t, y.clip(0, n_y - 1),
+                            x.clip(0, n_x - 1))
+                    met[t] = np.where(inside(places[t], n_y, n_x), scores[here], -np.inf)
+                    seen[t] = 0 if squares is None else squares[here]
+                start = start + graph.end_moves[j, velocity]
+            for first, last in itertools.combinations_with_replacement(frames, 2):
+                if first >= graph.knots[j_first + 1] or last < graph.knots[j_last]:
+                    continue
+                if presence is None and (first, last) != (0, n_frames - 1):
+                    continue
+                cost = graph.turn_cost * turns.sum()
+                if presence:
+                    cost += presence.cost(first, last, n_frames)
+                value = met[first:last + 1].sum(axis=0) + possible
+                if squares is None:
+                    value = value - cost
+                else:
+                    value = ((value - n_frames**0.5 * cost)
+                             / np.sqrt(np.maximum(seen[first:last + 1].sum(axis=0), 1e-9)))
+                at = np.unravel_index(np.argmax(value), value.shape)
+                if value[at] > best:
+                    best, found = value[at], np.full((n_frames, 2), np.nan)
+                    found[first:last + 1] = places[first:last + 1, at[0], at[1]]
+    return best, found
+
+
+def inside(positions, n_y, n_x):
+    """Return which positions (..., 2) are on a grid."""
+    return np.all((positions >= 0) & (positions < (n_x, n_y)), axis=-1)

@@ -31,9 +31,10 @@ class FrameBatch:
     frame_indices: NDArray[np.int64]
 
     @classmethod
-    def of(cls, frames: NDArray, stamps: NDArray) -> FrameBatch:
-        """Return the batch of a recording that it is all of."""
-        return cls(frames, stamps, np.arange(len(frames)))
+    def of(cls, frames: NDArray, stamps: NDArray | None = None) -> FrameBatch:
+        """Return the batch of a recording that it is all of; stamps 1 s apart unless given."""
+        numbers = np.arange(len(frames))
+        return cls(frames, numbers.astype(float) if stamps is None else stamps, numbers)
 
     def __len__(self) -> int:
         return len(self.frames)

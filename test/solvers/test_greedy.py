@@ -24,7 +24,7 @@ def gaussian(x, y, sigma=1.0, shape=(H, W)):
 def detect(frames, **options):
     settings = {'threshold': 7.0, **options}
     detector = GreedyDetector(DetectorOptions(detector='greedy', **settings))
-    return detector.detect(FrameBatch.of(np.asarray(frames, np.float32), np.arange(float(len(frames)))))
+    return detector.detect(FrameBatch.of(np.asarray(frames, np.float32)))
 
 
 def noise(seed, shape=(T, H, W)):

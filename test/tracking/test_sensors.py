@@ -14,9 +14,10 @@ from track_before_detect import (
     ParameterError,
     Sensor,
 )
+from track_before_detect.models.measurement.base import grid_shape
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.viterbi_table import RowThreads
 from track_before_detect.tracking.sensors import SensorArray
 
 TURN, ZOOM = np.deg2rad(25), 1.25
@@ -85,11 +86,11 @@ def test_statistics_of_noise_have_unit_variance_through_the_maps():
     array = SensorArray(sensors(0, 0.0), DetectorOptions(amplitudes='signed'))
     view = array.measurement
     detector = ConvexDetector(DetectorOptions(amplitudes='signed'), view)
-    search = PathSearch(detector.graph(array.stamps, view.shape), view, view.shape,
-                        detector.model)
+    measured = view.scores(detector.graph(array.stamps, view.shape), view.shape, detector.model,
+                           RowThreads(grid_shape(view, view.shape)[0], 1))
     rng = np.random.default_rng(5)
     noise = rng.standard_normal((6, len(array), *view.frame_shape(view.shape)), dtype=np.float32)
-    scores = np.array([search.scores(frames) for frames in noise])
+    scores = np.array([measured.scores(frames) for frames in noise])
     y, x = np.mgrid[:scores.shape[2], :scores.shape[3]] / view.oversampling
     for sensor, (height, width) in enumerate(SHAPES):
         own = scores[:, view.sensor == sensor]

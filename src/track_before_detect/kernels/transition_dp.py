@@ -22,57 +22,27 @@ stamp : float32 (K, K)
 cores : float32 (2 K - 1, 2 K - 1)
     Largest statistic of a target in the middle that leaves each pixel in use.
 
-The loops over x are small functions of their own because written into the nest they are not
-vectorised; they take flat arrays with unsigned offsets, which spares a slice for each row.
+The loops over x are small functions of their own, see the module ``rows``.
 """
 
 import numba
 import numpy as np
 
 from track_before_detect.kernels.compile_flags import FUSED_UNCHECKED
+from track_before_detect.kernels.rows import (
+    ABSENT,
+    add_row,
+    copy_row,
+    fill_row,
+    larger_of_two,
+    largest_of_three,
+    raise_row,
+)
 
-ABSENT = np.float32(-1e30)
 # Part of the PSF that border and mask have to leave for a pixel to be searched.
 LEAST_PHI = np.float32(1e-3)
 
 _U = np.uint64
-
-
-@numba.njit(**FUSED_UNCHECKED)
-def _fill(out, o, n, value):
-    for x in range(_U(n)):
-        out[o + x] = value
-
-
-@numba.njit(**FUSED_UNCHECKED)
-def _copy(out, o, source, a, n):
-    for x in range(_U(n)):
-        out[o + x] = source[a + x]
-
-
-@numba.njit(**FUSED_UNCHECKED)
-def _raise(out, o, source, a, n):
-    for x in range(_U(n)):
-        out[o + x] = out[o + x] if out[o + x] > source[a + x] else source[a + x]
-
-
-@numba.njit(**FUSED_UNCHECKED)
-def _largest_of_two(out, o, source, a, b, n):
-    for x in range(_U(n)):
-        out[o + x] = source[a + x] if source[a + x] > source[b + x] else source[b + x]
-
-
-@numba.njit(**FUSED_UNCHECKED)
-def _largest_of_three(out, o, source, a, b, c, n):
-    for x in range(_U(n)):
-        largest = source[a + x] if source[a + x] > source[b + x] else source[b + x]
-        out[o + x] = largest if largest > source[c + x] else source[c + x]
-
-
-@numba.njit(**FUSED_UNCHECKED)
-def _add(out, o, source, a, n):
-    for x in range(_U(n)):
-        out[o + x] += source[a + x]
 
 
 @numba.njit(**FUSED_UNCHECKED)
@@ -92,13 +62,13 @@ def _largest_in_rows(column, o, merit, base, y, rows, first, last, n_y, n_x, x_f
             b = start
         elif n_valid == 3:
             c = start
-            _largest_of_three(column, o, merit, a, b, c, n)
+            largest_of_three(column, o, merit, a, b, c, n)
         else:
-            _raise(column, o, merit, start, n)
+            raise_row(column, o, merit, start, n, np.float32(0))
     if n_valid == 1:
-        _copy(column, o, merit, a, n)
+        copy_row(column, o, merit, a, n)
     elif n_valid == 2:
-        _largest_of_two(column, o, merit, a, b, n)
+        larger_of_two(column, o, merit, a, b, n)
     return n_valid > 0
 
 
@@ -125,26 +95,26 @@ def _extend(merit, scores, t, n_y, n_x, rows, first_row, last_row, y_first, y_la
             r = end
             if not reachable:
                 continue
-            _fill(column, _U(0), left, ABSENT)
+            fill_row(column, _U(0), left, ABSENT)
             right = left + last - first
-            _fill(column, _U(right), n + high - low - right, ABSENT)
+            fill_row(column, _U(right), n + high - low - right, ABSENT)
             done = 0
             if not started:
                 if high - low == 0:
-                    _copy(merit, out, column, _U(0), n)
+                    copy_row(merit, out, column, _U(0), n)
                     done = 1
                 elif high - low == 1:
-                    _largest_of_two(merit, out, column, _U(0), _U(1), n)
+                    larger_of_two(merit, out, column, _U(0), _U(1), n)
                     done = 2
                 else:
-                    _largest_of_three(merit, out, column, _U(0), _U(1), _U(2), n)
+                    largest_of_three(merit, out, column, _U(0), _U(1), _U(2), n)
                     done = 3
                 started = True
             for shift in range(done, high - low + 1):
-                _raise(merit, out, column, _U(shift), n)
+                raise_row(merit, out, column, _U(shift), n, np.float32(0))
         if not started:
-            _fill(merit, out, n, ABSENT)
-        _add(merit, out, scores, out, n)
+            fill_row(merit, out, n, ABSENT)
+        add_row(merit, out, scores, out, n)
 
 
 @numba.njit(**FUSED_UNCHECKED)
@@ -169,7 +139,7 @@ def accumulate(merit, scores, rows, row_first, sets, boxes):
         if t == 0:
             for y in range(y_first, y_last):
                 o = _U(y * n_x + x_first)
-                _copy(flat, o, flat_scores, o, x_last - x_first)
+                copy_row(flat, o, flat_scores, o, x_last - x_first)
             continue
         first, last = row_first[sets[t]], row_first[sets[t] + 1]
         _extend(flat, flat_scores, t, n_y, n_x, rows, first, last, y_first, y_last, x_first,

@@ -29,6 +29,7 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.compile_flags import APPROXIMATE
+from track_before_detect.kernels.rows import add_row, copy_row, fill_row
 
 _U = np.uint64
 # Columns searched together, and what an unrolled loop adds at once.
@@ -40,24 +41,6 @@ STEP = 32
 def _whole_steps(n):
     """Return n rounded up to what the unrolled loops add at once; the rest would go one by one."""
     return (n + STEP - 1) // STEP * STEP
-
-
-@numba.njit(**APPROXIMATE)
-def _copy(out, o, source, a, n):
-    for x in range(_U(n)):
-        out[o + x] = source[a + x]
-
-
-@numba.njit(**APPROXIMATE)
-def _fill(out, o, n, value):
-    for x in range(_U(n)):
-        out[o + x] = value
-
-
-@numba.njit(**APPROXIMATE)
-def _add(out, o, source, a, n):
-    for x in range(_U(n)):
-        out[o + x] += source[a + x]
 
 
 @numba.njit(**APPROXIMATE)
@@ -106,13 +89,13 @@ def _load(rows, o, image, start, x_0, n_x, width):
     ``start`` is the flat index of the first column; negative for a row outside the image.
     """
     if start < 0:
-        _fill(rows, o, width, np.float32(0))
+        fill_row(rows, o, width, np.float32(0))
         return
     left = min(width, max(0, -x_0))
     right = max(left, min(width, n_x - x_0))
-    _fill(rows, o, left, np.float32(0))
-    _copy(rows, o + _U(left), image, _U(start + x_0 + left), right - left)
-    _fill(rows, o + _U(right), width - right, np.float32(0))
+    fill_row(rows, o, left, np.float32(0))
+    copy_row(rows, o + _U(left), image, _U(start + x_0 + left), right - left)
+    fill_row(rows, o + _U(right), width - right, np.float32(0))
 
 
 @numba.njit(**APPROXIMATE)
@@ -122,7 +105,7 @@ def _sum_of(out, rows, sources, shifts, first, n_parts, offsets, stride, pad, n)
         offsets[g] = _U(sources[first + g] * stride + pad + shifts[first + g])
     o = _U(0)
     if n_parts == 1:
-        _copy(out, o, rows, offsets[0], n)
+        copy_row(out, o, rows, offsets[0], n)
     elif n_parts == 2:
         _sum_two(out, o, rows, offsets[0], offsets[1], n)
     elif n_parts == 3:
@@ -132,7 +115,7 @@ def _sum_of(out, rows, sources, shifts, first, n_parts, offsets, stride, pad, n)
     else:
         _sum_five(out, o, rows, offsets[0], offsets[1], offsets[2], offsets[3], offsets[4], n)
     for g in range(5, n_parts):
-        _add(out, o, rows, offsets[g], n)
+        add_row(out, o, rows, offsets[g], n)
 
 
 @numba.njit(**APPROXIMATE)

@@ -16,6 +16,7 @@ from track_before_detect.models.motion.state_graph import (
     regular_stamps,
     StateGraph,
 )
+from track_before_detect.models.presence import Presence
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import median_interval, searched_speed
 from track_before_detect.solvers.search.affordable import affordable
@@ -41,14 +42,14 @@ class GraphBuilder:
         Motion model and its bounds.
     turn_cost : float
         Cost of a change of either velocity component by one step, in units of a value.
-    partial : bool
-        Whether targets may enter and leave.
+    presence : Presence or None
+        Cost of being present, where targets may enter and leave.
     """
 
-    def __init__(self, options: DetectorOptions, turn_cost: float, partial: bool):
+    def __init__(self, options: DetectorOptions, turn_cost: float, presence: Presence | None):
         self._options = options
         self._turn_cost = turn_cost
-        self._partial = partial
+        self._presence = presence
         self._kept: tuple[tuple, StateGraph] | None = None
         self._warned = False
 
@@ -108,7 +109,7 @@ class GraphBuilder:
         # A disc of velocities may be wider than can be searched.
         fitting = min(speed, WIDEST_DISC * up_to(min(speed, 1e-9)).velocity_step)
         graph = up_to(fitting)
-        while not affordable(graph, measurement, shape, self._partial):
+        while not affordable(graph, measurement, shape, self._presence):
             if graph.n_velocities == 1:
                 raise ParameterError(
                     f'a batch of {len(stamps)} frames of {shape[1]} x {shape[0]} pixels is too '
@@ -143,7 +144,7 @@ class GraphBuilder:
             rows_per_column=_digits(rows_per_column),
             still_column=margin + shape[1] // 2 + options.doppler_offset_bins,
             max_acceleration=_digits(acceleration * interval**2), turn_cost=self._turn_cost)
-        if not affordable(graph, measurement, (shape[0], shape[1] + 2 * margin), self._partial):
+        if not affordable(graph, measurement, (shape[0], shape[1] + 2 * margin), self._presence):
             raise ParameterError(
                 f'a batch of {len(stamps)} maps of {shape[0]} x {shape[1]} bins is too large to '
                 f'search for accelerations up to {acceleration:.3g} bins/s^2: lower '

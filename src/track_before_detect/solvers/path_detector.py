@@ -92,7 +92,7 @@ class PathDetector(BatchDetector):
         self.model = amplitude_model(options.amplitudes, options.amplitude_model)
         self.presence = presence_for(self.model) if options.presence == 'partial' else None
         self.scale = PathStatistic(self.model, self.presence)
-        self._graphs = GraphBuilder(options, self.model.turn_cost, self.presence is not None)
+        self._graphs = GraphBuilder(options, self.model.turn_cost, self.presence)
         self._search: tuple[tuple, PathSearch] | None = None
 
     def graph(self, stamps: NDArray, shape: tuple[int, int]) -> StateGraph:

@@ -7,7 +7,7 @@ import naive
 from track_before_detect import geometry
 from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE, SIGNED
 from track_before_detect.kernels.psf import measurement as kernel
-from track_before_detect.kernels.scores import mapped_scores as mapped_filter
+from track_before_detect.kernels.scores import mapped_scores
 from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 
@@ -116,8 +116,9 @@ def test_scores_are_squared_statistics_at_every_position(kind, model):
         squares = np.ascontiguousarray(np.moveaxis(weights[cut]**2, 0, -1))
         if kind == 'whole':
             squares = np.empty((0, 0, len(which)), np.float32)
-        mapped_filter.scores_of_frames(scores, which, pixels, squares, compiled.optics[sensor],
-                                       MAPS[sensor], 0.5, model, 0, 23)
+        mapped_scores.scores_of_frames(
+            scores, which, pixels, np.empty((0, 0, len(which)), np.float32), squares,
+            compiled.optics[sensor], MAPS[sensor], 0.5, model, 0, 23)
     for row, column in [(0, 0), (5, 28), (12, 13), (22, 7), (9, 20)]:
         place = np.tile([0.5 * column, 0.5 * row], (4, 1))
         h = looked(place, frames, weights)[:, 0]

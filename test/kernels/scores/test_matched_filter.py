@@ -7,7 +7,8 @@ import naive
 from track_before_detect.kernels.amplitude_codes import COMPLEX, CONSTANT, NON_NEGATIVE, SIGNED
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
-from track_before_detect.solvers.search.position_scores import PositionScores
+from track_before_detect.models.measurement.psf_scores import PsfScores
+from track_before_detect.solvers.search.viterbi_table import RowThreads
 
 PSFS = {
     'narrow': GaussianPsf(0.7),
@@ -21,7 +22,7 @@ SHAPE = (13, 17)
 
 def scores_for(psf, shape, code=NON_NEGATIVE):
     n_rows = psf.oversampling * (shape[0] - 1) + 1
-    return PositionScores(psf, shape, AMPLITUDE_MODELS[code], lambda work: work(0, n_rows))
+    return PsfScores(psf, shape, AMPLITUDE_MODELS[code], RowThreads(n_rows, 1))
 
 
 def weights_of(kind):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import naive
-from track_before_detect.kernels.search import viterbi as path_search
+from track_before_detect.kernels.search import viterbi
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.search.viterbi_table import ViterbiTable
 
@@ -15,7 +15,7 @@ def best_of(graph, scores):
     """Return the largest weight of a path by start of its last segment."""
     table = ViterbiTable(graph, scores.shape[1:])
     table.fill(scores)
-    return table.best
+    return table.best[0]
 
 
 @pytest.mark.parametrize('stamps', [
@@ -109,8 +109,8 @@ def test_rows_that_are_not_asked_for_are_not_written(max_speed):
     table.fill(np.random.default_rng(7).exponential(size=(3, 9, 40)).astype(np.float32))
     layout, value = table._layout, np.full_like(table._tables[1], 5.0)
     marks = np.full((9, layout.n_v), np.uint64(3))
-    path_search.extend_paths(value, table._tables[0], table._scores, table._segments[1], layout,
-                             marks, 2, 6)
+    viterbi.extend_paths(value, np.empty((0, 0), np.float32), table._tables[0], table._scores,
+                         table._segments[1], layout, None, marks, marks[:, 0].copy(), 2, 6)
     row = layout.n_v * layout.stride
     asked = slice(layout.guard + 2 * row, layout.guard + 6 * row)
     assert (value[:asked.start] == 5.0).all() and (value[asked.stop:] == 5.0).all()
@@ -135,11 +135,12 @@ def test_traced_path_has_the_weight_it_was_found_for(acceleration, n_frames):
     scores = np.random.default_rng(9).exponential(size=(n_frames, 7, 33)).astype(np.float32)
     table = ViterbiTable(graph, (7, 33))
     table.fill(scores)
-    starts = np.array([(0, 0), (3, 17), (6, 32)])
-    for (y, x), positions, cost in zip(starts, *table.trace(starts), strict=True):
-        columns, rows = positions.astype(int).T
-        weight = scores[np.arange(n_frames), rows, columns].sum() - cost
-        assert weight == pytest.approx(float(table.best[y, x]), rel=1e-5)
+    found = table.best_paths(-np.inf, 2, 20)
+    assert len(found) > 5 and found[0].value == table.best.max()
+    for path in found:
+        columns, rows = path.positions.astype(int).T
+        weight = scores[np.arange(n_frames), rows, columns].sum() - path.turn_cost
+        assert weight == pytest.approx(path.value, rel=1e-5)
 
 
 @pytest.mark.parametrize('limit', [0, 3, 500])
@@ -149,12 +150,13 @@ def test_peaks_are_the_largest_that_are_left_once_their_surroundings_are_out(lim
     table = ViterbiTable(graph, (23, 31))
     # Whole numbers, so that many are equal.
     table.fill(np.random.default_rng(6).integers(0, 9, (2, 23, 31)).astype(np.float32))
-    left, expected = table.best.copy(), []
+    left, expected = table.best[0].copy(), []
     while len(expected) < limit and left.max() > 4.0:
         y, x = np.unravel_index(np.argmax(left), left.shape)
         expected.append((y, x))
         left[max(0, y - 2):y + 3, max(0, x - 2):x + 3] = -1
-    np.testing.assert_array_equal(table.peaks(4.0, 2, limit), np.reshape(expected, (-1, 2)))
+    found = [path.positions[-1, ::-1] for path in table.best_paths(4.0, 2, limit)]
+    np.testing.assert_array_equal(np.reshape(found, (-1, 2)), np.reshape(expected, (-1, 2)))
 
 
 def test_rows_wider_than_a_word_of_vectors_are_searched():

@@ -13,13 +13,13 @@ from track_before_detect.kernels.scores.streak_scores import scores_of_streak
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
+from track_before_detect.models.measurement.streak_scores import StreakScores
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_streak
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.search.streak_scores import StreakScores
-from track_before_detect.solvers.search.viterbi_table import ViterbiTable
+from track_before_detect.solvers.search.viterbi_table import RowThreads, ViterbiTable
 
 T, SHAPE = 6, (32, 64)
 STAMPS = np.arange(float(T))
@@ -75,23 +75,26 @@ def test_scores_of_a_streak_equal_those_of_a_slow_twin(code):
     offsets = np.array([[-2, 1], [-1, 0], [0, 0], [1, 0], [2, -1]])
     factors = generator.uniform(0.5, 1, (2, 2)).astype(np.float32)
     imaginary = imaginary if code == COMPLEX else np.empty((0, 0), np.float32)
-    scores_of_streak(other, real, imaginary, shares, offsets, factors, code, 0, 9)
+    left = np.empty((9, 14), np.float32)
+    scores_of_streak(other, left, real, imaginary, shares, offsets, factors, False, code, 1.0,
+                     0.0, 0, 9)
     for y, x in np.ndindex(9, 14):
         inside = [(y + dy, x + dx) for dx, dy in offsets if 0 <= y + dy < 9 and 0 <= x + dx < 14]
-        left = sum(shares[at] for at in inside) / len(offsets)
+        share = sum(shares[at] for at in inside) / len(offsets)
+        assert left[y, x] == pytest.approx(share, rel=1e-5)
         h = sum(real[at] for at in inside) * factors[y % 2, x % 2]
         value = max(h, 0)**2 if code == NON_NEGATIVE else h**2
         if code == COMPLEX:
             value += (sum(imaginary[at] for at in inside) * factors[y % 2, x % 2])**2
-        assert other[y, x] == pytest.approx(value / left if left > 1e-3 else 0, rel=1e-4)
+        assert other[y, x] == pytest.approx(value / share if share > 1e-3 else 0, rel=1e-4)
 
 
 @pytest.mark.parametrize('name', PSFS)
 def test_scores_of_the_search_are_near_to_the_statistic_of_the_streak(name):
     psf = StreakPsf(PSFS[name], 1.0, 6.0, (0.0, 1.0))
     streaks = np.array([[0.0, 0], [5.0, 2.0], [-2.0, 4.0]])
-    scores = StreakScores(psf, (24, 26), AMPLITUDE_MODELS[SIGNED],
-                          lambda work: work(0, 47), streaks)
+    scores = StreakScores(psf, (24, 26), AMPLITUDE_MODELS[SIGNED], RowThreads(47, 1), streaks,
+                          np.arange(3))
     position = np.array([12.5, 11.0])
     for number, streak in enumerate(streaks):
         frame = 10 * streak_picture(PSFS[name], position, streak, (24, 26)).astype(np.float32)
@@ -112,7 +115,7 @@ def test_best_path_with_scores_for_each_velocity_is_that_of_all(acceleration):
     streaks, kind = streaks_of(graph, StreakPsf(GaussianPsf(0.7), 1.0, 2.0, (0.0, 1, 2, 3)))
     assert 1 < len(streaks) < graph.n_velocities
     generator = np.random.default_rng(3)
-    table = ViterbiTable(graph, (5, 6), kind=kind)
+    table = ViterbiTable(graph, (5, 6), kinds=kind)
     for _ in range(2):
         scores = generator.exponential(size=(len(streaks) * 4, 5, 6)).astype(np.float32)
         best = -np.inf
@@ -131,8 +134,10 @@ def test_best_path_with_scores_for_each_velocity_is_that_of_all(acceleration):
                     start = start + graph.end_moves[j, velocity]
                 best = max(best, value)
         assert table.update(scores, 0.0) == pytest.approx(best, rel=1e-5)
-        at = np.argwhere(table.best == table.best.max())[:1]
-        assert table.trace(at)[0].shape == (1, 4, 2)
+        [path] = table.best_paths(0.0, 1, 1)
+        x, y = path.positions.astype(int).T
+        met = scores[4 * kind[path.velocities] + np.arange(4), y, x].sum()
+        assert met - path.turn_cost == pytest.approx(best, rel=1e-5)
 
 
 def test_opposite_velocities_leave_one_streak():

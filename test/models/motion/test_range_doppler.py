@@ -7,8 +7,9 @@ from false_alarms import assert_rate_is_realised
 import naive
 import track_before_detect as tbd
 from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE
-from track_before_detect.kernels.search.viterbi import ABSENT
+from track_before_detect.kernels.rows import ABSENT
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
+from track_before_detect.models.measurement.base import Scores
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.range_doppler import build_range_doppler_graph
 from track_before_detect.options import DetectorOptions
@@ -17,8 +18,8 @@ from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.calibration import threshold
 from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.search.path_search import PathSearch
-from track_before_detect.solvers.search.sheared_plane import ShearedPlane
+from track_before_detect.solvers.search.path_search import path_search
+from track_before_detect.solvers.search.sheared_scores import ShearedScores
 
 STAMPS = {
     'regular': np.arange(6.0),
@@ -26,6 +27,24 @@ STAMPS = {
     'irregular': np.array([0.0, 0.7, 2.1, 3.0, 4.6, 5.2]),
     'single frame': np.zeros(1),
 }
+
+
+class GivenScores(Scores):
+    """Scores that are the frames themselves."""
+
+    def __init__(self, grid_shape):
+        self.grid_shape = grid_shape
+
+    def set_weights(self, weights):
+        """Take no notice."""
+
+    def scores(self, frames, factor=None, tilt=0.0):
+        """Return the frames."""
+        return frames
+
+
+def sheared(graph, grid_shape):
+    return ShearedScores(GivenScores(grid_shape), graph)
 
 
 def graph_for(stamps, k=0.6, acceleration=0.2, step=0.5, still=4.0):
@@ -40,12 +59,12 @@ def graph_for(stamps, k=0.6, acceleration=0.2, step=0.5, still=4.0):
 def test_rows_of_every_path_follow_its_columns(name, k, acceleration):
     stamps = STAMPS[name]
     graph = graph_for(stamps, k, acceleration)
-    plane = ShearedPlane(graph, (61, 17))
+    plane = sheared(graph, (61, 17))
     # Half a step of the column over the time from the middle, the roundings, and the turns.
     half_time = np.ptp(stamps) / 2
     slack = 1.5 + (abs(k) * 0.5 + 1.0) * (half_time + 0.5)
     checked = 0
-    for positions, _ in naive.every_path(graph, plane.shape):
+    for positions, _ in naive.every_path(graph, plane.grid_shape):
         x, y = plane.restore(positions, np.arange(len(positions))).T * graph.step_px
         rate = k * (x - 4.0)
         expected = np.append(0, np.cumsum(0.5 * (rate[1:] + rate[:-1]) * np.diff(stamps)))
@@ -62,13 +81,13 @@ def test_search_finds_the_best_of_all_paths(k, acceleration):
     stamps = np.arange(4.0)
     graph = graph_for(stamps, k, acceleration, step=1.0, still=2.0)
     psf, shape = GaussianPsf(2.0), (7, 5)
-    search = PathSearch(graph, psf, shape, AMPLITUDE_MODELS[NON_NEGATIVE])
+    search = path_search(graph, psf, shape, AMPLITUDE_MODELS[NON_NEGATIVE])
     frames = np.random.default_rng(3).standard_normal((4, *shape)).astype(np.float32)
     plain = np.stack([naive.matched_filter(frame, psf)[0] for frame in frames])
     plain = np.maximum(plain, 0)**2
-    plane = ShearedPlane(graph, shape)
+    plane = sheared(graph, shape)
     best = -np.inf
-    for positions, cost in naive.every_path(graph, plane.shape):
+    for positions, cost in naive.every_path(graph, plane.grid_shape):
         x, y = plane.restore(positions, np.arange(len(positions))).astype(int).T
         if (y >= 0).all() and (y < shape[0]).all():
             best = max(best, plain[range(4), y, x].sum() - cost)
@@ -80,10 +99,10 @@ def test_search_finds_the_best_of_all_paths(k, acceleration):
 
 def test_rows_outside_a_map_cannot_be_visited():
     graph = graph_for(np.arange(3.0), k=1.0, acceleration=0.0, step=1.0, still=2.0)
-    sheared = ShearedPlane(graph, (4, 5)).shear(np.ones((3, 4, 5), np.float32))
-    assert (sheared[0, :2, 0] == 1).all() and (sheared[0, 2:, 4] == 1).all()
-    assert (sheared[0, 2:, 0] == ABSENT).all() and (sheared[0, :2, 4] == ABSENT).all()
-    np.testing.assert_array_equal(sheared[1], 1)
+    seen = sheared(graph, (4, 5)).scores(np.ones((3, 4, 5), np.float32))
+    assert (seen[0, :2, 0] == 1).all() and (seen[0, 2:, 4] == 1).all()
+    assert (seen[0, 2:, 0] == ABSENT).all() and (seen[0, :2, 4] == ABSENT).all()
+    np.testing.assert_array_equal(seen[1], 1)
 
 
 @pytest.mark.parametrize(('k', 'offset', 'interval'), [(0.3, 0, 1.0), (-0.8, 3, 0.5)])
@@ -158,7 +177,7 @@ def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
         false_alarm_rate=rate))
     stamps = np.arange(8.0)
     bound = detector.threshold(stamps, shape)
-    search = PathSearch(detector.graph(stamps, shape), detector.psf, shape, detector.model)
+    search = path_search(detector.graph(stamps, shape), detector.psf, shape, detector.model)
 
     def passes(generator):
         noise = generator.standard_normal((8, *shape), dtype=np.float32)

@@ -15,7 +15,7 @@ from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.calibration import threshold as module
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.calibration.threshold import threshold_for
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.path_search import path_search
 
 PSF = GaussianPsf(2.0)
 MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
@@ -26,7 +26,7 @@ GRAPH = build_state_graph(np.arange(6.0), step_px=1.0, max_speed=1.0, max_accele
 
 
 def searcher(shape):
-    search = PathSearch(GRAPH, PSF, shape, MODEL)
+    search = path_search(GRAPH, PSF, shape, MODEL)
     return lambda generator: np.sqrt(
         search.best_value(generator.standard_normal((6, *shape), dtype=np.float32)))
 

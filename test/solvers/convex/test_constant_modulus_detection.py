@@ -9,8 +9,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.search.constant_search import ConstantSearch
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.path_search import path_search
 
 T, SHAPE = 20, (28, 28)
 STAMPS = np.arange(float(T))
@@ -29,11 +28,11 @@ def scene(generator, tracks, snr):
 
 def test_dim_targets_of_constant_modulus_are_found_at_least_as_often_as_if_it_fluctuated():
     n_runs, rates = 60, {}
-    for model, kind in (('constant', ConstantSearch), ('fluctuating', PathSearch)):
+    for model in ('constant', 'fluctuating'):
         generator = np.random.default_rng(5)
         detector = ConvexDetector(DetectorOptions(
             amplitudes='complex', amplitude_model=model, threshold=1.0))
-        search = kind(detector.graph(STAMPS, SHAPE), detector.psf, SHAPE, detector.model)
+        search = path_search(detector.graph(STAMPS, SHAPE), detector.psf, SHAPE, detector.model)
         noise, targets = (
             [search.best_value(scene(generator, tracks, 1.5)) for _ in range(n_runs)]
             for tracks in ([], [(8, 9, 0.6, 0.4)]))

@@ -15,7 +15,7 @@ from track_before_detect.solvers.convex.subspace_pursuit import (
 )
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.path_search import path_search
 
 MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
 NO_MASK = np.zeros((0, 0, 0), bool)
@@ -49,7 +49,7 @@ def solve(frames, continuation, threshold=6.5, mask=None, model=MODEL, **setting
     psf = GaussianPsf(1.0)
     graph = build_state_graph(STAMPS, step_px=0.5, max_speed=1.0, max_acceleration=0.1,
                               turn_cost=model.turn_cost)
-    search = PathSearch(graph, psf, (H, W), model)
+    search = path_search(graph, psf, (H, W), model)
     search.set_weights(mask)
     valid = NO_MASK if mask is None else mask
     paths = WorkingSet(frames, valid, psf, threshold, model)

@@ -17,7 +17,7 @@ from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitS
 from track_before_detect.solvers.convex.warm_start import starting_paths
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.path_search import path_search
 from track_before_detect.types import FrameBatch
 
 MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
@@ -65,7 +65,7 @@ def solve(frames, continuation, start=(), *, on_grid=False, threshold=6.5, model
     psf, graph = GaussianPsf(1.0), graph_of(model=model)
     refiner = OnTheGrid() if on_grid else Refiner(graph, psf, TIMES, NO_MASK, model)
     paths = WorkingSet(np.ascontiguousarray(frames), NO_MASK, psf, threshold, model)
-    return pursue(PathSearch(graph, psf, (H, W), model), refiner, paths, 3.0,
+    return pursue(path_search(graph, psf, (H, W), model), refiner, paths, 3.0,
                   PursuitSettings(continuation, **settings), start)
 
 
@@ -217,7 +217,8 @@ def test_the_targets_found_are_those_of_a_cold_start(name, seed):
 def test_paths_of_no_target_are_not_kept(code):
     model = AMPLITUDE_MODELS[code]
     frames = np.random.default_rng(7).standard_normal((T, H, W)).astype(np.float32)
-    largest = PathSearch(graph_of(model=model), GaussianPsf(1.0), (H, W), model).best_value(frames)
+    search = path_search(graph_of(model=model), GaussianPsf(1.0), (H, W), model)
+    largest = search.best_value(frames)
     rng = np.random.default_rng(8)
     told = [rng.uniform((4, 4), (W - 5, H - 5)) + np.zeros((T, 2)) for _ in range(40)]
     start = starting_paths(graph_of(model=model), TIMES, LIMITS, EarlierPaths(told, KNOWN))

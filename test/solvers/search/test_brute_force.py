@@ -13,8 +13,7 @@ from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.given_paths.fit_paths import fit_paths
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search import viterbi_table as path_table
-from track_before_detect.solvers.search.constant_search import ConstantSearch
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.path_search import path_search
 
 T, SHAPE = 5, (6, 8)
 STAMPS = np.arange(float(T))
@@ -70,8 +69,7 @@ class Scene:
         self.frames = frames.astype(np.complex64 if name == 'complex' else np.float32)
 
     def search(self):
-        kind = ConstantSearch if self.model.is_constant else PathSearch
-        search = kind(self.graph, self.psf, SHAPE, self.model)
+        search = path_search(self.graph, self.psf, SHAPE, self.model)
         search.set_weights(self.weights)
         return search
 

@@ -5,6 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
+from enumeration import best_in_any_frames
 from false_alarms import assert_rate_is_realised
 import track_before_detect as tbd
 from track_before_detect.kernels.amplitude_codes import (
@@ -23,66 +24,12 @@ from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.search.constant_partial_search import ConstantPartialSearch
-from track_before_detect.solvers.search.partial_search import PartialSearch
-from track_before_detect.solvers.search.position_scores import PositionScores
+from track_before_detect.solvers.search.path_search import path_search
+from track_before_detect.solvers.search.viterbi_table import RowThreads
+from track_before_detect.types import FrameBatch
 
 PRESENCE = Presence(0.9, 1.5, 2.5)
 OF_CONSTANT = Presence(0.0, 0.2, 0.4)
-
-
-def value_of(graph, presence, scores, first, last, starts, velocities, squares=None):
-    """Return value and positions of one path, None where it leaves the grid while present.
-
-    With ``squares``, n^2 of each position, the scores are n h of a constant amplitude.
-    """
-    n_frames, n_y, n_x = scores.shape
-    value, positions = 0.0, np.full((n_frames, 2), np.nan)
-    square = 0.0
-    for j, (start, velocity) in enumerate(zip(starts, velocities, strict=True), starts.first):
-        for t in range(max(first, graph.knots[j]), min(last + 1, graph.knots[j + 1])):
-            x, y = start + graph.moves[t, velocity]
-            if not (0 <= x < n_x and 0 <= y < n_y):
-                return None
-            value += scores[t, y, x]
-            positions[t] = x, y
-            square += 0.0 if squares is None else squares[t, y, x]
-    turns = np.abs(np.diff(graph.grid[list(velocities)], axis=0))
-    cost = presence.cost(first, last, n_frames) + graph.turn_cost * turns.sum()
-    if squares is None:
-        return value - cost, positions
-    return (value - n_frames**0.5 * cost) / square**0.5, positions
-
-
-class Starts(list):
-    """Starts of the segments of a path, from its first segment on."""
-
-    first = 0
-
-
-def best_partial(graph, presence, scores, squares=None):
-    """Return the largest value of any path in any interval of frames, and its positions."""
-    n_frames, n_y, n_x = scores.shape
-    best = (-np.inf, None)
-    for first, last in itertools.combinations_with_replacement(range(n_frames), 2):
-        j_first, j_last = np.searchsorted(graph.knots, [first, last], side='right') - 1
-        for velocities in itertools.product(
-                range(graph.n_velocities), repeat=j_last - j_first + 1):
-            turns = np.abs(np.diff(graph.grid[list(velocities)], axis=0))
-            if turns.size and turns.max() > graph.reach:
-                continue
-            for y, x in itertools.product(range(n_y), range(n_x)):
-                starts = Starts([np.array([x, y])])
-                starts.first = j_first
-                for j, velocity in enumerate(velocities[:-1], j_first):
-                    starts.append(starts[-1] + graph.end_moves[j, velocity])
-                if any((start < 0).any() or (start >= (n_x, n_y)).any() for start in starts):
-                    continue
-                found = value_of(graph, presence, scores, first, last, starts, velocities,
-                                 squares)
-                if found and found[0] > best[0]:
-                    best = found
-    return best
 
 
 @pytest.mark.parametrize(('n_frames', 'acceleration', 'seed'), [
@@ -92,16 +39,18 @@ def test_best_path_equals_search_through_every_path_and_interval(n_frames, accel
                                                                  code):
     graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=0.7,
                               max_acceleration=acceleration, turn_cost=0.8)
-    search = PartialSearch(graph, GaussianPsf(2.0), (4, 5), AMPLITUDE_MODELS[code], PRESENCE)
+    psf, model = GaussianPsf(2.0), AMPLITUDE_MODELS[code]
+    search = path_search(graph, psf, (4, 5), model, PRESENCE)
     frames = noise_frames(np.random.default_rng(seed), (n_frames, 4, 5), code == COMPLEX)
     # Something in a few frames only, so that the best path is there in a part of them.
     frames[n_frames // 2:n_frames // 2 + 2, 1:3, 2:4] += 1.5j if code == COMPLEX else 1.5
-    expected, positions = best_partial(graph, PRESENCE, search.scores(frames))
+    scores = psf.scores(graph, (4, 5), model, RowThreads(4, 1)).scores(frames)
+    expected, positions = best_in_any_frames(graph, scores, PRESENCE)
     largest, [found] = search.best_paths(frames, -1e9, 1.0, lambda _: True, 1)
     assert largest == pytest.approx(expected, rel=1e-5)
     assert found.value == pytest.approx(expected, rel=1e-5)
     np.testing.assert_array_equal(found.positions, positions)
-    met = [search.scores(frames)[t, int(y), int(x)]
+    met = [scores[t, int(y), int(x)]
            for t, (x, y) in enumerate(found.positions) if np.isfinite(x)]
     assert sum(met) - found.cost == pytest.approx(expected, rel=1e-5)
 
@@ -115,22 +64,21 @@ def test_best_path_of_constant_amplitude_equals_search_through_all(n_frames, acc
     graph = build_state_graph(np.arange(float(n_frames)), step_px=1.0, max_speed=0.7,
                               max_acceleration=acceleration, turn_cost=0.1)
     shape = (4, 5)
-    search = ConstantPartialSearch(graph, GaussianPsf(2.0), shape, AMPLITUDE_MODELS[code],
-                                   OF_CONSTANT)
+    psf, model = GaussianPsf(2.0), AMPLITUDE_MODELS[code]
+    search = path_search(graph, psf, shape, model, OF_CONSTANT)
     generator = np.random.default_rng(seed)
     frames = generator.standard_normal((n_frames, *shape), dtype=np.float32)
     frames[n_frames // 2:n_frames // 2 + 2, 1:3, 2:4] += 1.5 if code == CONSTANT else -1.5
     squares = np.ones((n_frames, *shape))
-    scores = PositionScores(GaussianPsf(2.0), shape, AMPLITUDE_MODELS[code],
-                            lambda work: work(0, 4))
+    scores = psf.scores(graph, shape, model, RowThreads(4, 1))
     if weighted:
         weights = generator.uniform(0.4, 1.5, frames.shape).astype(np.float32)
         search.set_weights(weights)
         scores.set_weights(weights)
-        squares = scores.shares
+        squares = scores.squares
     products = scores.scores(frames, 1.0)
     expected, positions = max(
-        (best_partial(graph, OF_CONSTANT, sign * products, squares)
+        (best_in_any_frames(graph, sign * products, OF_CONSTANT, squares)
          for sign in ((1,) if code == CONSTANT else (1, -1))), key=lambda one: one[0])
     for above in (-np.inf, 0.0, 0.9 * expected):
         largest, [found] = search.best_paths(frames, above, 1.0, lambda _: True, 1)
@@ -147,7 +95,7 @@ def test_search_of_the_same_frames_again_and_of_others_is_that_of_a_new_one():
                               turn_cost=0.8)
 
     def new_search():
-        return PartialSearch(graph, GaussianPsf(2.0), (12, 9), AMPLITUDE_MODELS[SIGNED], PRESENCE)
+        return path_search(graph, GaussianPsf(2.0), (12, 9), AMPLITUDE_MODELS[SIGNED], PRESENCE)
 
     search, generator = new_search(), np.random.default_rng(4)
     first, other = generator.standard_normal((2, 6, 12, 9)).astype(np.float32)
@@ -172,12 +120,12 @@ def test_batch_with_weights_and_one_without_do_not_change_each_other(amplitude_m
             add_target(frame, 11.3, 8.6, 1.0, 5.0)
         weights = rng.uniform(0.5, 1.0, (8, 20, 24)).astype(np.float32)
         weights[:, :, :4] = 0
-        batches.append((frames * weights if weighted else frames, np.arange(8.0),
+        batches.append((FrameBatch.of(frames * weights if weighted else frames, np.arange(8.0)),
                         weights if weighted else None))
     detector = ConvexDetector(options)
     for batch in batches:
-        again = detector.detect_weighted(*batch).found
-        alone = ConvexDetector(options).detect_weighted(*batch).found
+        again = detector.detect(*batch).found
+        alone = ConvexDetector(options).detect(*batch).found
         assert len(again) == len(alone) > 0
         for one, other in zip(again, alone, strict=True):
             np.testing.assert_array_equal(one.positions, other.positions)

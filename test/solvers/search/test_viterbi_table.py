@@ -10,11 +10,12 @@ from track_before_detect.kernels.amplitude_codes import COMPLEX, CONSTANT, NON_N
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
+from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search import viterbi_table as path_table
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.path_search import path_search
 from track_before_detect.solvers.search.viterbi_table import table_bytes, ViterbiTable
 
 NO_MASK = np.zeros((0, 0, 0), bool)
@@ -45,21 +46,27 @@ def changed(generator, scores, sign):
 @pytest.mark.parametrize('sign', ['up', 'down', 'both'])
 @pytest.mark.parametrize('width', [31, 150])
 @pytest.mark.parametrize('n_threads', [1, 2])
-def test_changed_scores_give_the_table_of_a_fill(monkeypatch, name, sign, width, n_threads):
+@pytest.mark.parametrize('presence', [None, Presence(0.8, 1.5, 2.5)], ids=['full', 'partial'])
+def test_changed_scores_give_the_table_of_a_fill(monkeypatch, name, sign, width, n_threads,
+                                                 presence):
     # Not even when filling would be quicker.
     monkeypatch.setattr(path_table, 'COST_OF_UPDATE', 0.0)
     generator = np.random.default_rng([len(name), len(sign), width])
     graph = graph_named(name, np.array([0.0, 1, 2, 3, 5, 6, 7, 8, 9]))
     scores = generator.exponential(size=(9, 29, width)).astype(np.float32)
-    kept = ViterbiTable(graph, scores.shape[1:], n_threads)
+    kept = ViterbiTable(graph, scores.shape[1:], n_threads, presence=presence)
+    per_frame = presence.per_frame if presence else 0.0
     for _ in range(6):
-        fresh = ViterbiTable(graph, scores.shape[1:])
-        fresh.fill(scores)
+        fresh = ViterbiTable(graph, scores.shape[1:], presence=presence)
+        filled = fresh.fill(scores, per_frame)
         level = float(np.quantile(fresh.best, generator.choice([0.0, 0.8, 0.99, 1.0])))
-        assert kept.update(scores, level) == fresh.best.max()
+        assert kept.update(scores, level, per_frame=per_frame) == filled == fresh.best.max()
         assert (kept.best >= fresh.best).all()
         told = np.maximum(kept.best, fresh.best) > level
         np.testing.assert_array_equal(kept.best[told], fresh.best[told])
+        for again, anew in zip(*(table.best_paths(level, 3, 5) for table in (kept, fresh)),
+                               strict=True):
+            np.testing.assert_equal(again._asdict(), anew._asdict())
         scores = changed(generator, scores, sign)
 
 
@@ -134,12 +141,12 @@ def test_frames_that_differ_in_places_are_searched_as_if_new(psf, code, weighted
     frames = generator.standard_normal((T, H, W)).astype(np.float32)
     if code == COMPLEX:
         frames = (frames + 1j * frames[::-1]).astype(np.complex64)
-    kept = PathSearch(graph, psf, (H, W), model)
+    kept = path_search(graph, psf, (H, W), model)
     for number in range(7):
         if weighted and number % 3 == 0:
             weights = generator.uniform(0.5, 1.5, (T, H, W))
             kept.set_weights(weights)
-        fresh = PathSearch(graph, psf, (H, W), model)
+        fresh = path_search(graph, psf, (H, W), model)
         fresh.set_weights(weights if weighted else None)
         np.testing.assert_equal(*(
             [dataclasses.astuple(path) for path in search.best_paths(
@@ -153,7 +160,7 @@ def test_frames_that_differ_in_places_are_searched_as_if_new(psf, code, weighted
 
 def pursued(frames, valid, model, graph, threshold):
     psf = GaussianPsf(1.0)
-    search = PathSearch(graph, psf, (H, W), model)
+    search = path_search(graph, psf, (H, W), model)
     search.set_weights(valid)
     valid = NO_MASK if valid is None else valid
     paths = WorkingSet(frames, valid, psf, threshold, model)
@@ -173,9 +180,8 @@ def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, ma
     monkeypatch.setattr(path_table, 'COST_OF_UPDATE', 0.0)
     quick = pursued(frames, valid, model, graph, threshold)
 
-    def from_the_start(table, scores, level, rows=None):
-        table.fill(scores)
-        return float(table.best.max())
+    def from_the_start(table, scores, level, rows=None, per_frame=0.0):
+        return table.fill(scores, per_frame)
 
     monkeypatch.setattr(ViterbiTable, 'update', from_the_start)
     full = pursued(frames, valid, model, graph, threshold)
@@ -187,11 +193,12 @@ def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, ma
     np.testing.assert_array_equal(quick.paths.positions, full.paths.positions)
 
 
+@pytest.mark.parametrize('presence', [None, Presence(0.8, 1.5, 2.5)], ids=['full', 'partial'])
 @pytest.mark.parametrize('name', GRAPHS)
-def test_the_memory_of_a_table_is_told_before_it_is_taken(name):
+def test_the_memory_of_a_table_is_told_before_it_is_taken(name, presence):
     graph = graph_named(name, np.arange(12.0))
-    table = ViterbiTable(graph, (61, 83))
+    table = ViterbiTable(graph, (61, 83), presence=presence)
     table.fill(np.zeros((12, 61, 83), np.float32))
     taken = sum(array.nbytes for array in [table.best, table._scores, *table._tables])
     # Less margins of a few rows.
-    assert 0.9 * taken <= table_bytes(graph, (61, 83)) <= taken
+    assert 0.9 * taken <= table_bytes(graph, (61, 83), presence) <= taken

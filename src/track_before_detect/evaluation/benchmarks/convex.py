@@ -16,11 +16,12 @@ from track_before_detect.evaluation.benchmarks.own_process import in_own_process
 from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.models.amplitudes import amplitude_model
+from track_before_detect.models.measurement.base import grid_shape
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate, SimulatedRecording
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.search.path_search import PathSearch
+from track_before_detect.solvers.search.viterbi_table import RowThreads, ViterbiTable
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.types import FrameBatch
 
@@ -103,14 +104,17 @@ def _measure_stages(made: SimulatedRecording, options: DetectorOptions,
     """Measure the stages of a search on one thread, and a copy of one weight for each state."""
     shape = made.frames.shape[1:]
     graph = ConvexDetector(options).graph(made.stamps, shape)
-    search = PathSearch(graph, GaussianPsf(options.psf_sigma_px), shape,
-                        amplitude_model(options.amplitudes, options.amplitude_model))
-    scores = search.scores(made.frames)
-    search.run(scores)
+    psf = GaussianPsf(options.psf_sigma_px)
+    grid = grid_shape(psf, shape)
+    table = ViterbiTable(graph, grid)
+    measured = psf.scores(graph, shape, amplitude_model(
+        options.amplitudes, options.amplitude_model), RowThreads(grid[0], 1))
+    scores = measured.scores(made.frames)
+    table.fill(scores)
     filtering, searching, layer = timed(
-        [lambda: search.scores(made.frames), lambda: search.run(scores),
-         path_search.copying(graph, search.grid_shape)], repeats)
-    return path_search.compared(graph, search.grid_shape,
+        [lambda: measured.scores(made.frames), lambda: table.fill(scores),
+         path_search.copying(graph, grid)], repeats)
+    return path_search.compared(graph, grid,
                                  {'matched_filter': filtering, 'path_search': searching}, layer)
 
 

@@ -9,25 +9,21 @@ merit : float32 (K, H, W)
 
 The largest value of a square of pixels is the largest of its rows of the largest of its columns,
 so a step costs about 2 log2(2 v_max + 1) comparisons a pixel in place of (2 v_max + 1)^2. The
-loops over x are small functions of their own because written into the nest they are not
-vectorised; they take flat arrays with unsigned offsets, which spares a slice for each row.
+loops over x are small functions of their own, see the module ``rows``.
 """
 
 import numba
 import numpy as np
 
 from track_before_detect.kernels.compile_flags import FUSED
-
-ABSENT = np.float32(-1e30)
+from track_before_detect.kernels.rows import (
+    ABSENT,
+    copy_row,
+    larger_of_two,
+    largest_of_three,
+)
 
 _U = np.uint64
-
-
-@numba.njit(**FUSED)
-def _largest_of_three(out, o, source, a, b, c, n):
-    for x in range(_U(n)):
-        largest = source[a + x] if source[a + x] > source[b + x] else source[b + x]
-        out[o + x] = largest if largest > source[c + x] else source[c + x]
 
 
 @numba.njit(**FUSED)
@@ -35,13 +31,6 @@ def _raise_to_two(out, o, source, a, b, n):
     for x in range(_U(n)):
         largest = source[a + x] if source[a + x] > source[b + x] else source[b + x]
         out[o + x] = out[o + x] if out[o + x] > largest else largest
-
-
-@numba.njit(**FUSED)
-def _larger(out, o, source, a, later, n):
-    for x in range(_U(n)):
-        here, there = source[a + x], source[a + later + x]
-        out[o + x] = here if here > there else there
 
 
 @numba.njit(**FUSED)
@@ -78,9 +67,9 @@ def accumulate(merit, frames, start, n_steps, step, v_max, first_row, last_row):
             # A row beyond the border counts as the nearest one inside, which is in the window.
             here = _U((before + y) * n_x)
             if v_max == 0:
-                _larger(rows, _U(0), flat, here, _U(0), n_x)
+                copy_row(rows, _U(0), flat, here, n_x)
             else:
-                _largest_of_three(
+                largest_of_three(
                     rows, _U(v_max), flat, _U((before + max(y - 1, 0)) * n_x), here,
                     _U((before + min(y + 1, n_y - 1)) * n_x), n_x)
             for away in range(2, v_max + 1):
@@ -88,8 +77,8 @@ def accumulate(merit, frames, start, n_steps, step, v_max, first_row, last_row):
                               _U((before + min(y + away, n_y - 1)) * n_x), n_x)
             covered, source, target = 1, 0, stride
             while 2 * covered <= width:
-                _larger(rows, _U(target), rows, _U(source), _U(covered),
-                        n_x + 2 * v_max - 2 * covered + 1)
+                larger_of_two(rows, _U(target), rows, _U(source), _U(source + covered),
+                              n_x + 2 * v_max - 2 * covered + 1)
                 covered *= 2
                 source, target = target, 3 * stride - target
             _add_larger(flat, _U((t % n_planes * n_y + y) * n_x), flat_frames,

@@ -18,16 +18,15 @@ needed, chosen : as states (V,)
 
 The candidates of one velocity differ in the pixel of the frame before alone, so the largest of
 their merits is taken first, and the matching and the frame before that enter once. The loops over
-x are small functions of their own because written into the nest they are not vectorised; they
-take flat arrays with unsigned offsets, which spares a slice for each row.
+x are small functions of their own, see the module ``rows``.
 """
 
 import numba
 import numpy as np
 
 from track_before_detect.kernels.compile_flags import FUSED
+from track_before_detect.kernels.rows import ABSENT, copy_row
 
-ABSENT = np.float32(-1e30)
 # How the merit of the frame before and what is added to it from two frames before go on: their
 # mean, their sum, or the merit of the frame before alone.
 MEAN, SUM, FIRST = 0, 1, 2
@@ -84,12 +83,6 @@ def _keep_first(best, kept, o, before, second, states, b, s, needed, n):
 def _add_scaled(out, o, frames, a, best, factor, n):
     for x in range(_U(n)):
         out[o + x] = frames[a + x] + factor * best[x]
-
-
-@numba.njit(**FUSED)
-def _copy(out, o, source, n):
-    for x in range(_U(n)):
-        out[o + x] = source[x]
 
 
 @numba.njit(**FUSED)
@@ -163,4 +156,4 @@ def accumulate(merit, states, first, second, frames, start, n_steps, step, veloc
             _add_scaled(out, _U((t % n_merits * n_y + y) * n_x), flat_frames,
                         _U((t * n_y + y) * n_x), kept if going_on == FIRST else best,
                         np.float32(0.5) if going_on == MEAN else np.float32(1), n_x)
-            _copy(out_states, _U((t % n_planes * n_y + y) * n_x), best_states, n_x)
+            copy_row(out_states, _U((t % n_planes * n_y + y) * n_x), best_states, _U(0), n_x)

@@ -9,11 +9,10 @@ import math
 import numba
 import numpy as np
 
-from track_before_detect.kernels.amplitude_codes import NON_NEGATIVE
 from track_before_detect.kernels.compile_flags import REORDERED_FINITE
 from track_before_detect.kernels.psf.measurement import map_position
 from track_before_detect.kernels.psf.psf_profiles import fill_profiles
-from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
+from track_before_detect.kernels.scores.score_rows import score_row
 
 _U = np.uint64
 
@@ -49,20 +48,21 @@ def _product(out, stamp, flat, width, y_0, x_0, first_y, last_y, first_x, last_x
 
 
 @numba.njit(**REORDERED_FINITE)
-def scores_of_frames(out, which, frames, squared_weights, optics, matrix, step_px, model,
+def scores_of_frames(out, which, real, imaginary, squared_weights, optics, matrix, step_px, model,
                      first_row, last_row):
-    """Write what a position adds to the value of a path: max(h, 0)^2 or h^2.
+    """Write what a position adds to the value of a path, of amplitudes that may fluctuate.
 
     out : float32 (T, Y, X), for positions ``step_px`` apart on the plane
     which : int64 (N,), the frames of this map
-    frames : float32 (H, W, N), their pixels times one over the noise of each, masked ones zero
+    real, imaginary : float32 (H, W, N), their pixels times one over the noise of each, masked ones
+        zero; the imaginary part of no rows where frames are real
     squared_weights : float32 (H, W, N), one over the variance of each pixel, zero where masked;
         of no rows where it is one
     matrix : float64 (3, 3), takes the plane to the frames
-    model : amplitude model; those of constant amplitudes are not among them
+    model : as for ``score_row``
     """
-    height, width, n_frames = frames.shape
-    flat = frames.reshape(frames.size)
+    height, width, n_frames = real.shape
+    flat, flat_imaginary = real.reshape(real.size), imaginary.reshape(imaginary.size)
     flat_weights = squared_weights.reshape(squared_weights.size)
     n_taps = 2 * optics.half + 1
     ones = np.ones(1)
@@ -71,12 +71,14 @@ def scores_of_frames(out, which, frames, squared_weights, optics, matrix, step_p
     unused = np.empty((optics.coefficients.shape[0], n_taps))
     stamp = np.empty((n_taps, n_taps), np.float32)
     slope = np.empty((2, 2))
-    h = np.empty(n_frames, np.float32)
+    h = np.zeros((2, n_frames), np.float32)
     left = np.empty(n_frames, np.float32)
+    # What a row of positions sees, and the share that is left of the stamps.
+    seen = np.zeros((2, n_frames, out.shape[2]), np.float32)
+    shares = np.empty((n_frames, out.shape[2]), np.float32)
     for row in range(first_row, last_row):
         for column in range(out.shape[2]):
-            for n in range(n_frames):
-                out[which[n], row, column] = 0
+            shares[:, column] = 0
             x, y = map_position(matrix, column * step_px, row * step_px, slope)
             x_0 = int(math.floor(x + 0.5)) - optics.half
             y_0 = int(math.floor(y + 0.5)) - optics.half
@@ -86,14 +88,23 @@ def scores_of_frames(out, which, frames, squared_weights, optics, matrix, step_p
                 continue
             fill_profiles(optics, y, 0.0, 0, y_0, ones, rows, unused)
             fill_profiles(optics, x, 0.0, 1, x_0, ones, columns, unused)
-            least = LEAST_SHARE * _fill_stamp(stamp, rows, columns)
-            _product(h, stamp, flat, width, y_0, x_0, first_y, last_y, first_x, last_x)
+            whole = _fill_stamp(stamp, rows, columns)
+            _product(h[0], stamp, flat, width, y_0, x_0, first_y, last_y, first_x, last_x)
+            if imaginary.shape[0] > 0:
+                _product(h[1], stamp, flat_imaginary, width, y_0, x_0, first_y, last_y, first_x,
+                         last_x)
             stamp *= stamp
             if squared_weights.shape[0] > 0:
                 _product(left, stamp, flat_weights, width, y_0, x_0, first_y, last_y, first_x,
                          last_x)
             else:
                 left[:] = stamp[first_y:last_y, first_x:last_x].sum()
+            share, scale = 1 / whole, 1 / math.sqrt(whole)
             for n in range(n_frames):
-                if left[n] > least and (model != NON_NEGATIVE or h[n] > 0):
-                    out[which[n], row, column] = h[n] * h[n] / left[n]
+                shares[n, column] = share * left[n]
+                for part in range(2):
+                    seen[part, n, column] = scale * h[part, n]
+        for n in range(n_frames):
+            out[which[n], row] = seen[0, n]
+            score_row(out[which[n], row], seen[1, n] if imaginary.shape[0] > 0 else seen[1, n, :0],
+                      shares[n], False, model, 1.0, 0.0)

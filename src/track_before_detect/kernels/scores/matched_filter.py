@@ -17,14 +17,8 @@ out : float32 (Y, X), Y = S (H - 1) + 1, X = S (W - 1) + 1.
 import numba
 import numpy as np
 
-from track_before_detect.kernels.amplitude_codes import (
-    COMPLEX_CONSTANT,
-    CONSTANT,
-    NON_NEGATIVE,
-    SIGNED_CONSTANT,
-)
 from track_before_detect.kernels.compile_flags import FUSED
-from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
+from track_before_detect.kernels.scores.score_rows import score_row
 
 
 @numba.njit(**FUSED)
@@ -90,86 +84,24 @@ def filter_frame(out, frame, weights, taps, level, scale_y, scale_x, first_row, 
 
 
 @numba.njit(**FUSED)
-def _square_positive(row):
-    for x in range(row.size):
-        value = row[x] if row[x] > 0 else np.float32(0)
-        row[x] = value * value
-
-
-@numba.njit(**FUSED)
-def _square(row):
-    for x in range(row.size):
-        row[x] *= row[x]
-
-
-@numba.njit(**FUSED)
-def _add_square(row, other):
-    for x in range(row.size):
-        row[x] = row[x] * row[x] + other[x] * other[x]
-
-
-@numba.njit(**FUSED)
-def _root(row):
-    for x in range(row.size):
-        row[x] = np.sqrt(row[x])
-
-
-@numba.njit(**FUSED)
-def _scale(row, factor):
-    for x in range(row.size):
-        row[x] *= factor
-
-
-@numba.njit(**FUSED)
-def _over_norm(row, share):
-    for x in range(row.size):
-        left = share[x] > np.float32(LEAST_SHARE)
-        row[x] = row[x] / np.sqrt(share[x]) if left else np.float32(0)
-
-
-@numba.njit(**FUSED)
-def _less_share(row, share, factor, tilt):
-    for x in range(row.size):
-        left = share[x] > np.float32(LEAST_SHARE)
-        row[x] = factor * row[x] - tilt * share[x] if left else np.float32(0)
-
-
-@numba.njit(**FUSED)
 def scores_of_frame(out, real, imaginary, weights, shares, uneven, taps, level, scale_y, scale_x,
                     model, factor, tilt, rows, first_row, last_row):
     """Write what a position adds to the value of a path, in those ``rows`` (Y,) that are true.
 
-    With h the matched filter statistic that is max(h, 0)^2, h^2 or |h|^2 where amplitudes may
-    fluctuate, and factor * h or factor * |h| where they are constant. ``shares`` (Y, X) is what
-    weights and border leave of the squared norm of the PSF, n^2; of no rows where the scales make
-    up for it. Where the norms are ``uneven`` constant amplitudes have factor * n h - tilt * n^2.
-    ``imaginary`` has no rows where frames are real.
+    ``shares`` (Y, X) is what weights and border leave of the squared norm of the PSF; of no rows
+    where the scales make up for it. ``imaginary`` has no rows where frames are real. The rest is
+    that of ``score_row``.
     """
     width = real.shape[1]
     padded = np.empty(width + taps.shape[3] - 1, np.float32)
     part = np.empty((taps.shape[2], width), np.float32)
     other = np.empty(out.shape[1] if imaginary.shape[0] > 0 else 0, np.float32)
-    constant = model == CONSTANT or model == SIGNED_CONSTANT or model == COMPLEX_CONSTANT
-    normalise = shares.shape[0] > 0 and not uneven
+    whole = np.empty(0, np.float32)
     for y in range(first_row, last_row):
         if not rows[y]:
             continue
         _filter_row(out[y], y, real, weights, taps, level, scale_y, scale_x, padded, part)
-        if normalise:
-            _over_norm(out[y], shares[y])
         if imaginary.shape[0] > 0:
             _filter_row(other, y, imaginary, weights, taps, level, scale_y, scale_x, padded, part)
-            if normalise:
-                _over_norm(other, shares[y])
-            _add_square(out[y], other)
-            if model == COMPLEX_CONSTANT:
-                _root(out[y])
-        elif model == NON_NEGATIVE:
-            _square_positive(out[y])
-        elif model < CONSTANT:
-            _square(out[y])
-        if constant:
-            if uneven:
-                _less_share(out[y], shares[y], np.float32(factor), np.float32(tilt))
-            else:
-                _scale(out[y], np.float32(factor))
+        share = shares[y] if shares.shape[0] > 0 else whole
+        score_row(out[y], other, share, uneven, model, factor, tilt)

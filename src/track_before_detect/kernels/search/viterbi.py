@@ -14,19 +14,18 @@ value, before : float32, flat; row (y, v) starts at guard + (y n_v + v) stride
     velocity. The velocities lie between the two position axes so that one row y of all velocities
     is one contiguous block, which fits the second-level cache. The guard is a row of absent
     positions.
+    The last segment is not stored.
 best : float32 (Y, X)
-    Largest weight over all velocities of the last segment, which is not stored otherwise.
-marks : uint64 (Y, V), or (Y,) for the last segment
-    Which states are computed: one bit for each block of ``block`` positions, so that one number
-    covers a row. All others keep their values.
+    Largest weight over all velocities of the paths that end in a segment.
+marks : uint64 (Y, V), and finished : uint64 (Y,)
+    Which states are computed, and where ``best`` is: one bit for each block of ``block``
+    positions, so that one number covers a row. All others keep their values.
 
 Every value is computed by the same operations in the same order whichever others are computed
 beside it, so that a table brought up to date equals a table filled from the start, bit for bit.
 
-The loops over x are small functions of their own on purpose: written into the nest above them
-they are not vectorised. They take whole arrays, flat, with unsigned offsets: a slice for each row
-would cost two atomic updates of a reference count, as long as adding sixty numbers, and a signed
-index would be checked for being negative at each step.
+The loops over x are small functions of their own, see the module ``rows``. Whether targets may
+enter and leave is known when the nest above them is compiled, from the type of ``costs``.
 """
 
 from typing import NamedTuple
@@ -36,10 +35,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.compile_flags import FINITE
+from track_before_detect.kernels.rows import (
+    ABSENT,
+    add_row,
+    best_of_three,
+    copy_row,
+    fill_row,
+    raise_row,
+)
 from track_before_detect.kernels.search.borrowed_arrays import borrowed
-from track_before_detect.kernels.search.turn_simd import MOST_ROWS, RUN_SIZE, turn_and_add
+from track_before_detect.kernels.search.turn_simd import (
+    MOST_ROWS,
+    RUN_SIZE,
+    turn_and_add,
+    turn_and_live,
+)
 
-ABSENT = np.float32(-1e30)
 # Blocks of positions in a row, one for each bit of a mark.
 BLOCKS = 64
 # What the compiled loops take at a time.
@@ -68,6 +79,8 @@ class Segment(NamedTuple):
     ----------
     offsets : array of int64, shape (V, K)
         Flat distance of the position in each of its K frames from the start in frame 0.
+    rows : array of int64, shape (V, K)
+        Rows of that distance.
     first_y, last_y : array of int64, shape (V,)
         Rows from which all frames stay on the grid.
     arrival : array of int64, shape (V, 2)
@@ -86,6 +99,7 @@ class Segment(NamedTuple):
     """
 
     offsets: NDArray[np.int64]
+    rows: NDArray[np.int64]
     first_y: NDArray[np.int64]
     last_y: NDArray[np.int64]
     arrival: NDArray[np.int64]
@@ -94,26 +108,6 @@ class Segment(NamedTuple):
     columns: int
     reach: int
     cost: np.float32
-
-
-@numba.njit(**FINITE)
-def fill_row(out, o, n, value):
-    """Write ``value`` to out[o + x]."""
-    for x in range(_U(n)):
-        out[o + x] = value
-
-
-@numba.njit(**FINITE)
-def copy_row(out, o, source, a, n):
-    """Write source[a + x] to out[o + x]."""
-    for x in range(_U(n)):
-        out[o + x] = source[a + x]
-
-
-@numba.njit(**FINITE)
-def _add(out, o, source, a, n):
-    for x in range(_U(n)):
-        out[o + x] += source[a + x]
 
 
 @numba.njit(**FINITE)
@@ -134,21 +128,20 @@ def _add_four(out, o, source, a, b, c, d, n):
         out[o + x] += (source[a + x] + source[b + x]) + (source[c + x] + source[d + x])
 
 
-@numba.njit(**FINITE)
-def raise_row(out, o, source, a, n, cost):
-    """Raise out[o + x] to source[a + x] - cost where that is more."""
-    for x in range(_U(n)):
-        other = source[a + x] - cost
-        out[o + x] = out[o + x] if out[o + x] > other else other
+class EndCosts(NamedTuple):
+    """What it costs a path to begin and to end within a segment.
 
+    Attributes
+    ----------
+    entry : float32
+        To be there from any but the first frame of the batch on.
+    leaving, leaving_last : float32
+        To be there no longer after a frame of the segment, and after its last.
+    """
 
-@numba.njit(**FINITE)
-def best_of_three(out, o, source, here, left, right, n, cost):
-    """Write to out[o + x] the best of three, two of them less ``cost``."""
-    for x in range(_U(n)):
-        beside = source[left + x] if source[left + x] > source[right + x] else source[right + x]
-        beside -= cost
-        out[o + x] = source[here + x] if source[here + x] > beside else beside
+    entry: np.float32
+    leaving: np.float32
+    leaving_last: np.float32
 
 
 @numba.njit(**FINITE)
@@ -184,7 +177,7 @@ def _add_scores(out, o, scores, offsets, v, start, n, t):
     elif t + 2 == n_frames:
         _add_two(out, o, scores, _U(start + offsets[v, t]), _U(start + offsets[v, t + 1]), n)
     elif t + 1 == n_frames:
-        _add(out, o, scores, _U(start + offsets[v, t]), n)
+        add_row(out, o, scores, _U(start + offsets[v, t]), n)
 
 
 @numba.njit(**FINITE)
@@ -242,38 +235,54 @@ def _find_sources(source, y, arrival, n_y, stride, pad, guard):
 
 
 @numba.njit(**FINITE)
-def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets, n_frames):
-    """Write to ``run`` what ``turn_and_add`` reads and writes, for n velocities from ``slot``."""
+def _find_run(run, n, slot, velocity_at, columns, source, place, step):
+    """Write to ``run`` which paths and states n velocities from ``slot`` read and write."""
     for k in range(n + 2):
         here = slot + (k - 1) * columns
         run[3 * k] = source[velocity_at[here]]
         run[3 * k + 1] = source[velocity_at[here - 1]]
         run[3 * k + 2] = source[velocity_at[here + 1]]
     for k in range(n):
-        v = velocity_at[slot + k * columns]
-        run[3 * (n + 2) + k] = place + v * step
-        for t in range(n_frames):
-            run[4 * n + 6 + k * n_frames + t] = first + offsets[v, t]
+        run[3 * (n + 2) + k] = place + velocity_at[slot + k * columns] * step
 
 
 @numba.njit(**FINITE)
-def _extend_row(out, place, step, y, marks, m, before, scores, offsets, first_y, last_y, arrival,
-                slots, velocity_at, columns, reach, cost, layout, source, wanted, turns, run):
-    """Extend the best paths by one segment in row ``y``, where marks[m] says so.
+def _find_scores(run, n, slot, velocity_at, columns, first, offsets, n_frames, y, rows, n_y,
+                 absent):
+    """Write to ``run`` where n velocities meet the weights of their first frames.
 
-    The row of velocity v is written from out[place + v * step] on. The arrays are those of a
-    ``Segment``, then work space, see ``_work_space``.
+    ``absent`` is where a row of absent weights lies, for rows off the grid.
+    """
+    for k in range(n):
+        v = velocity_at[slot + k * columns]
+        for t in range(n_frames):
+            inside = 0 <= y + rows[v, t] < n_y
+            run[4 * n + 6 + t * n + k] = first + offsets[v, t] if inside else absent
+
+
+@numba.njit(**FINITE)
+def _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs, offsets, rows,
+                first_y, last_y, arrival, slots, velocity_at, columns, reach, cost, source, wanted,
+                turns, run):
+    """Extend the best paths by one segment in row ``y``, where marks[y] says so.
+
+    The row of velocity v is written from out[place + v * step] on. What comes after ``costs`` is
+    of a ``Segment``, then work space.
     """
     n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
     n_blocks = (lanes + block - 1) // block
     starting = before.size == 0
     near = reach == 1 and not starting
-    # How many neighbours along v_y are computed together, and frames added at once.
-    most = MOST_ROWS if near else 1
     n_frames = offsets.shape[1]
-    done = 0
-    if near:
-        done = 4 if n_frames >= 4 else 2 if n_frames >= 2 else 1
+    # How many neighbours along v_y are computed together, and frames met at once.
+    if costs is None:
+        most = MOST_ROWS if near else 1
+        done = 0
+        if near:
+            done = 4 if n_frames >= 4 else 2 if n_frames >= 2 else 1
+    else:
+        most = MOST_ROWS
+        done = n_frames
     first = pad + y * stride
     if not starting:
         _find_sources(source, y, arrival, n_y, stride, pad, guard)
@@ -281,7 +290,7 @@ def _extend_row(out, place, step, y, marks, m, before, scores, offsets, first_y,
             wanted[:] = 0
             for v in range(n_v):
                 for k in range(-reach, reach + 1):
-                    wanted[slots[v] + k * columns] |= marks[m, v]
+                    wanted[slots[v] + k * columns] |= marks[y, v]
             _turn_x(turns, wanted, source, before, velocity_at, reach, cost, block, lanes)
     for column in range(columns):
         slot = column
@@ -294,109 +303,118 @@ def _extend_row(out, place, step, y, marks, m, before, scores, offsets, first_y,
             n = 1
             while n < most:
                 other = velocity_at[slot + n * columns]
-                if (other == n_v or marks[m, other] != marks[m, v]
-                        or (first_y[other] <= y < last_y[other]) != inside):
+                if other == n_v or marks[y, other] != marks[y, v]:
                     break
+                if costs is None:
+                    if (first_y[other] <= y < last_y[other]) != inside:
+                        break
                 n += 1
-            if near and inside:
-                _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets,
-                          done)
-            b, end = run_of_blocks(marks[m, v], 0, n_blocks)
+            if costs is not None or (near and inside):
+                _find_run(run, n, slot, velocity_at, columns, source, place, step)
+                _find_scores(run, n, slot, velocity_at, columns, first, offsets, done, y, rows,
+                             n_y, scores.size - lanes)
+            b, end = run_of_blocks(marks[y, v], 0, n_blocks)
             while b < BLOCKS:
                 start = b * block
                 stop = min(end * block, lanes)
-                if near and inside:
-                    turn_and_add(out, before, scores, run, n, done, cost, start, stop)
+                if costs is None:
+                    if near and inside:
+                        turn_and_add(out, before, scores, run, n, done, cost, start, stop)
                 for k in range(n):
                     other = velocity_at[slot + k * columns]
                     o = place + other * step
-                    if not inside:
-                        fill_row(out, _U(o + start), stop - start, ABSENT)
-                        continue
+                    if costs is None:
+                        if not inside:
+                            fill_row(out, _U(o + start), stop - start, ABSENT)
+                            continue
                     if starting:
                         fill_row(out, _U(o + start), stop - start, np.float32(0))
                     elif reach > 1:
-                        _turn_y(out, _U(o + start), turns, slot * lanes + start, columns * lanes,
-                                reach, cost, stop - start)
-                    # Not called for nothing: a call takes as long as adding fifty numbers.
-                    if done < n_frames:
-                        _add_scores(out, _U(o + start), scores, offsets, other, first + start,
-                                    stop - start, done)
-                    for x in range(n_x, stop):
-                        out[o + x] = ABSENT
-                b, end = run_of_blocks(marks[m, v], end, n_blocks)
+                        _turn_y(out, _U(o + start), turns,
+                                (slot + k * columns) * lanes + start, columns * lanes, reach,
+                                cost, stop - start)
+                    if costs is None:
+                        # Not called for nothing: that takes as long as adding fifty numbers.
+                        if done < n_frames:
+                            _add_scores(out, _U(o + start), scores, offsets, other,
+                                        first + start, stop - start, done)
+                        for x in range(n_x, stop):
+                            out[o + x] = ABSENT
+                if costs is not None:
+                    turn_and_live(out, before, scores, ends, run, n, n_frames, np.int64(near),
+                                  cost, costs.entry, costs.leaving, costs.leaving_last, start,
+                                  stop)
+                    for k in range(n):
+                        o = place + velocity_at[slot + k * columns] * step
+                        for x in range(n_x, stop):
+                            out[o + x] = ABSENT
+                b, end = run_of_blocks(marks[y, v], end, n_blocks)
             slot += n * columns
 
 
 @numba.njit(**FINITE)
-def _work_space(before, segment, layout):
-    """Return source, wanted, turns and run of ``_extend_row``."""
-    n_slots = segment.velocity_at.size
-    far = before.size > 0 and segment.reach > 1
-    return (np.empty(layout.n_v + 1, np.int64), np.empty(n_slots, np.uint64),
-            np.full(n_slots * layout.lanes if far else 0, ABSENT),
-            np.empty(RUN_SIZE, np.int64))
-
-
-@numba.njit(**FINITE)
-def extend_paths(value, before, scores, segment, layout, marks, first_row, last_row):
+def extend_paths(value, best, before, scores, segment, layout, costs, marks, finished, first_row,
+                 last_row):
     """Extend the best paths by one segment, rows ``first_row`` to ``last_row`` of ``value``.
 
     value[y, v, x] = max over v' near v of (before[p - arrival(v'), v'] - cost * |v - v'|)
                      + sum over frames of scores[t, p + move(t, v)],   p = (y, x)
 
-    ``before`` of no states starts the paths: the maximum is then zero.
+    and best[y, x], in the blocks ``finished``, is the largest over all v. ``before`` of no states
+    starts the paths: the maximum is then zero. ``value`` of no states is not kept, ``best`` of no
+    rows not written.
+
+    With ``costs`` a path may begin and end in any frame. Then value is what is reached after the
+    last frame, reached_t = max(reached_(t-1), -entry) + scores[t, p + move(t, v)], in place of the
+    sum, and best that of the paths that end within the segment, in whatever frame and with
+    whatever velocity. Such a path lies on the grid where the target is present, and at the start
+    of each segment.
     """
-    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed_arrays``.
-    value, before, scores = borrowed(value), borrowed(before), borrowed(scores)
-    offsets, marks = borrowed(segment.offsets), borrowed(marks)
-    # Taken out once: each use of a tuple that holds arrays updates their reference counts.
-    first_y, last_y = segment.first_y, segment.last_y
-    arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
-    columns, reach, cost = segment.columns, segment.reach, segment.cost
-    source, wanted, turns, run = _work_space(before, segment, layout)
-    for y in range(first_row, last_row):
-        some = _U(0)
-        for v in range(layout.n_v):
-            some |= marks[y, v]
-        if some:
-            _extend_row(value, layout.guard + y * layout.n_v * layout.stride, layout.stride, y,
-                        marks, y, before, scores, offsets, first_y, last_y, arrival, slots,
-                        velocity_at, columns, reach, cost, layout, source, wanted, turns, run)
-
-
-@numba.njit(**FINITE)
-def finish_paths(best, before, scores, segment, layout, marks, first_row, last_row):
-    """Write the largest weight over all velocities after the last segment to best[y, x].
-
-    The weights are those of the function ``extend_paths``.
-    """
-    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed_arrays``.
-    before, scores = borrowed(before), borrowed(scores)
-    offsets = borrowed(segment.offsets)
-    # Taken out once: each use of a tuple that holds arrays updates their reference counts.
-    first_y, last_y = segment.first_y, segment.last_y
-    arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
-    columns, reach, cost = segment.columns, segment.reach, segment.cost
     n_v, n_x, lanes = layout.n_v, layout.n_x, layout.lanes
     n_blocks = (lanes + layout.block - 1) // layout.block
+    # Saves 8 to 18 per cent, the more the narrower the frames; see the module ``borrowed_arrays``.
+    before, scores, marks = borrowed(before), borrowed(scores), borrowed(marks)
+    offsets, rows = borrowed(segment.offsets), borrowed(segment.rows)
+    # Taken out once: each use of a tuple that holds arrays updates their reference counts.
+    first_y, last_y = segment.first_y, segment.last_y
+    arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
+    columns, reach, cost = segment.columns, segment.reach, segment.cost
     flat_best = best.reshape(best.size)
-    source, wanted, turns, run = _work_space(before, segment, layout)
-    value = np.empty(n_v * lanes, np.float32)
-    same = np.empty((1, n_v), np.uint64)
+    kept = value.size > 0
+    room = np.empty(0 if kept else n_v * lanes, np.float32)
+    out = borrowed(value) if kept else borrowed(room)
+    step = layout.stride if kept else lanes
+    ends = np.empty(lanes, np.float32)
+    source = np.empty(n_v + 1, np.int64)
+    far = before.size > 0 and reach > 1
+    wanted = np.empty(velocity_at.size, np.uint64)
+    turns = np.full(velocity_at.size * lanes if far else 0, ABSENT)
+    run = np.empty(RUN_SIZE + MOST_ROWS * offsets.shape[1], np.int64)
     for y in range(first_row, last_row):
-        if not marks[y]:
+        some = _U(0)
+        for v in range(n_v):
+            some |= marks[y, v]
+        if not some:
             continue
-        same[:] = marks[y]
-        _extend_row(value, 0, lanes, y, same, 0, before, scores, offsets, first_y, last_y,
-                    arrival, slots, velocity_at, columns, reach, cost, layout, source, wanted,
-                    turns, run)
-        b, end = run_of_blocks(marks[y], 0, n_blocks)
+        place = layout.guard + y * n_v * step if kept else 0
+        if costs is not None:
+            fill_row(ends, _U(0), lanes, ABSENT)
+        _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs, offsets,
+                    rows, first_y, last_y, arrival, slots, velocity_at, columns, reach, cost,
+                    source, wanted, turns, run)
+        if best.size == 0:
+            continue
+        b, end = run_of_blocks(finished[y], 0, n_blocks)
         while b < BLOCKS:
             start = b * layout.block
             n = min(end * layout.block, n_x) - start
             o = _U(y * n_x + start)
-            fill_row(flat_best, o, n, ABSENT)
-            for v in range(n_v):
-                raise_row(flat_best, o, value, _U(v * lanes + start), n, np.float32(0))
-            b, end = run_of_blocks(marks[y], end, n_blocks)
+            if costs is None:
+                fill_row(flat_best, o, n, ABSENT)
+                for v in range(n_v):
+                    raise_row(flat_best, o, out, _U(place + v * step + start), n, np.float32(0))
+            else:
+                copy_row(flat_best, o, ends, _U(start), n)
+            b, end = run_of_blocks(finished[y], end, n_blocks)
+    # Not to be freed before, for it was borrowed.
+    room[:0] = 0

@@ -1,15 +1,50 @@
-"""Follow the best paths back through the tables of the module ``viterbi``."""
+"""Pick the best ends of paths in the tables of the module ``viterbi``, and follow them back."""
+
+from typing import NamedTuple
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect.kernels.compile_flags import EXACT
-from track_before_detect.kernels.search.viterbi import ABSENT
+from track_before_detect.kernels.rows import ABSENT
+
+# A start that is on no grid.
+NOWHERE = -2**40
+
+
+class Motion(NamedTuple):
+    """All segments of a state graph; fields as of a ``Segment`` and of the graph.
+
+    Attributes
+    ----------
+    knots : array of int64, shape (J + 1,)
+    moves, end_moves : array of int64, shape (T, V, 2) and (J, V, 2)
+    kinds : array of int64, shape (V,)
+        Which of several scores is that of a velocity.
+    slots, velocity_at, columns, reach, cost
+        As of a segment.
+    entry, leaving : float32
+        Cost of beginning after the first frame and of ending before the last; as large as a
+        number that is ``ABSENT`` where that may not be.
+    """
+
+    knots: NDArray[np.int64]
+    moves: NDArray[np.int64]
+    end_moves: NDArray[np.int64]
+    kinds: NDArray[np.int64]
+    slots: NDArray[np.int64]
+    velocity_at: NDArray[np.int64]
+    columns: int
+    reach: int
+    cost: np.float32
+    entry: np.float32
+    leaving: np.float32
 
 
 @numba.njit(**EXACT)
-def _best_arrival(before, y, x, v, segment, layout):
-    """Return how the best path comes to go on from (y, x) at velocity v.
+def _best_arrival(tables, j, y, x, v, motion, layout):
+    """Return how the best path comes to go on from (y, x) at velocity v in segment j.
 
     Returns
     -------
@@ -20,78 +55,136 @@ def _best_arrival(before, y, x, v, segment, layout):
     int
         Steps of the turn.
     """
-    reach = segment.reach
     best, chosen, turned = ABSENT, -1, 0
-    for k in range(-reach, reach + 1):
-        for m in range(-reach, reach + 1):
-            other = segment.velocity_at[segment.slots[v] + k * segment.columns + m]
+    if j == 0:
+        return chosen, np.float32(0), turned
+    for k in range(-motion.reach, motion.reach + 1):
+        for m in range(-motion.reach, motion.reach + 1):
+            other = motion.velocity_at[motion.slots[v] + k * motion.columns + m]
             if other == layout.n_v:
                 continue
-            row, column = y - segment.arrival[other, 1], x - segment.arrival[other, 0]
+            row = y - motion.end_moves[j - 1, other, 1]
+            column = x - motion.end_moves[j - 1, other, 0]
             if 0 <= row < layout.n_y and 0 <= column < layout.n_x:
                 steps = abs(k) + abs(m)
-                weight = (before[layout.guard + (row * layout.n_v + other) * layout.stride
-                                 + column] - np.float32(steps) * segment.cost)
+                weight = (tables[j - 1, layout.guard + (row * layout.n_v + other) * layout.stride
+                                 + column] - np.float32(steps) * motion.cost)
                 if weight > best:
                     best, chosen, turned = weight, other, steps
     return chosen, best, turned
 
 
 @numba.njit(**EXACT)
-def best_velocities(velocities, before, scores, y, x, segment, layout):
-    """Write the velocity of the best path that starts its last segment at (y[i], x[i])."""
-    for i in range(y.size):
-        best, chosen = ABSENT, -1
-        for v in range(layout.n_v):
-            if segment.first_y[v] <= y[i] < segment.last_y[v]:
-                weight = np.float32(0)
-                if before.size > 0:
-                    _, weight, _ = _best_arrival(before, y[i], x[i], v, segment, layout)
-                for t in range(segment.offsets.shape[1]):
-                    weight += scores[layout.pad + y[i] * layout.stride + x[i]
-                                     + segment.offsets[v, t]]
-                if weight > best:
-                    best, chosen = weight, v
-        velocities[i] = chosen
+def _live_on(reached, scores, t, y, x, v, motion, layout):
+    """Return what a path that starts its segment at (y, x) has reached after frame t."""
+    row, column = y + motion.moves[t, v, 1], x + motion.moves[t, v, 0]
+    met = ABSENT
+    if 0 <= row < layout.n_y and 0 <= column < layout.n_x:
+        frame = motion.kinds[v] * motion.moves.shape[0] + t
+        met = scores[layout.pad + (frame * layout.n_y + row) * layout.stride + column]
+    return max(reached, -motion.entry) + met
 
 
 @numba.njit(**EXACT)
-def step_back(y, x, velocities, turns, before, segment, layout):
-    """Take paths from the start of a segment to the start of the one before, in place.
+def _best_end(tables, scores, j, y, x, motion, layout):
+    """Return velocity and last frame of the best path that starts its last segment j at (y, x)."""
+    best, velocity, last = ABSENT, 0, motion.knots[j + 1] - 1
+    for v in range(layout.n_v):
+        _, reached, _ = _best_arrival(tables, j, y, x, v, motion, layout)
+        for t in range(motion.knots[j], motion.knots[j + 1]):
+            reached = _live_on(reached, scores, t, y, x, v, motion, layout)
+            end = reached if t == motion.moves.shape[0] - 1 else reached - motion.leaving
+            if end > best:
+                best, velocity, last = end, v, t
+    return velocity, last
 
-    turns : int64 (N,), raised by the steps of the turn
+
+@numba.njit(**EXACT)
+def _follow_back(positions, velocities, starts, tables, scores, j, y, x, motion, layout):
+    """Write positions and velocities of the best path that starts its last segment j at (y, x).
+
+    starts : int64 (J, 2), x and y of its starts of segments, also of those that it would go on to
+
+    Returns the steps of its turns.
     """
-    for i in range(y.size):
-        velocity, _, turned = _best_arrival(before, y[i], x[i], velocities[i], segment, layout)
-        velocities[i] = velocity
-        turns[i] += turned
-        x[i] -= segment.arrival[velocity, 0]
-        y[i] -= segment.arrival[velocity, 1]
+    positions[:] = np.nan
+    velocity, last = _best_end(tables, scores, j, y, x, motion, layout)
+    starts[j, 0], starts[j, 1] = x, y
+    for later in range(j + 1, starts.shape[0]):
+        for axis in range(2):
+            starts[later, axis] = (starts[later - 1, axis]
+                                   + motion.end_moves[later - 1, velocity, axis])
+    turns = 0
+    while True:
+        first = motion.knots[j]
+        arriving, reached, turned = _best_arrival(tables, j, y, x, velocity, motion, layout)
+        entered = first
+        goes_on = j > 0 and reached > -motion.entry
+        for t in range(first, last + 1):
+            if t > first and reached <= -motion.entry:
+                entered, goes_on = t, False
+            reached = _live_on(reached, scores, t, y, x, velocity, motion, layout)
+        starts[j, 0], starts[j, 1] = x, y
+        for t in range(entered, last + 1):
+            positions[t, 0] = x + motion.moves[t, velocity, 0]
+            positions[t, 1] = y + motion.moves[t, velocity, 1]
+            velocities[t] = velocity
+        if not goes_on:
+            for earlier in range(j):
+                starts[earlier] = NOWHERE
+            return turns
+        turns += turned
+        velocity, j, last = arriving, j - 1, first - 1
+        x -= motion.end_moves[j, velocity, 0]
+        y -= motion.end_moves[j, velocity, 1]
 
 
 @numba.njit(**EXACT)
-def pick_peaks(peaks, best, above, radius):
-    """Write to ``peaks`` (N, 2) the y and x of separate maxima above a level, largest first.
+def best_paths(positions, velocities, values, turns, best, tables, scores, motion, layout, above,
+               radius):
+    """Find the paths of the largest weights above a level, the largest first, and apart.
 
-    Positions within ``radius`` rows and columns of one that is picked are passed over. Returns
-    how many are found, at most N.
+    No path starts a segment in which others may end within ``radius`` rows and columns of where
+    one that is found does: the same target ends there, too, a little less well.
+
+    Parameters
+    ----------
+    positions : float64 (N, T, 2)
+        Receives x and y in grid steps, NaN where a path is absent.
+    velocities : int64 (N, T)
+        Receives the velocity, where it is present.
+    values, turns : float32 and int64 (N,)
+        Receive weights and steps of turns.
+    best : float32 (E, Y, X)
+        Largest weights of paths that end in each of the last E segments, by its start.
+
+    Returns how many are found, at most N.
     """
     best = best.copy()
-    n_y, n_x = best.shape
+    n_ends, n_y, n_x = best.shape
+    starts = np.empty((motion.end_moves.shape[0], 2), np.int64)
+    before = starts.shape[0] - n_ends
     # The largest of each row is kept, so that a peak costs the rows around it and not all.
-    at = np.empty(n_y, np.int64)
-    for y in range(n_y):
-        at[y] = np.argmax(best[y])
-    for i in range(peaks.shape[0]):
-        y = 0
-        for row in range(1, n_y):
-            if best[row, at[row]] > best[y, at[y]]:
-                y = row
-        x = at[y]
-        if not best[y, x] > above:
+    at = np.empty((n_ends, n_y), np.int64)
+    for e in range(n_ends):
+        for y in range(n_y):
+            at[e, y] = np.argmax(best[e, y])
+    for i in range(values.size):
+        end, y = 0, 0
+        for e in range(n_ends):
+            for row in range(n_y):
+                if best[e, row, at[e, row]] > best[end, y, at[end, y]]:
+                    end, y = e, row
+        x = at[end, y]
+        # Rounding leaves much of what is absent.
+        if not best[end, y, x] > max(above, np.float32(0.5) * ABSENT):
             return i
-        peaks[i, 0], peaks[i, 1] = y, x
-        for row in range(max(0, y - radius), min(n_y, y + radius + 1)):
-            best[row, max(0, x - radius):x + radius + 1] = ABSENT
-            at[row] = np.argmax(best[row])
-    return peaks.shape[0]
+        values[i] = best[end, y, x]
+        turns[i] = _follow_back(positions[i], velocities[i], starts, tables, scores, before + end,
+                                y, x, motion, layout)
+        for e in range(n_ends):
+            x, y = starts[before + e]
+            for row in range(max(0, y - radius), min(n_y, y + radius + 1)):
+                best[e, row, max(0, x - radius):max(0, x + radius + 1)] = ABSENT
+                at[e, row] = np.argmax(best[e, row])
+    return values.size

@@ -12,7 +12,7 @@ Layout of every array
 ---------------------
 As in the module ``viterbi``, and
 
-marks, stale, wanted : uint64 (Y,) or (Y, V)
+marks, stale, wanted : uint64 (Y, V), or (Y,) for the best of paths that end in a segment
     One bit for each block of ``block`` positions of a row, so that one number covers the row.
 """
 
@@ -20,7 +20,8 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.compile_flags import FINITE
-from track_before_detect.kernels.search.viterbi import ABSENT, BLOCKS, run_of_blocks
+from track_before_detect.kernels.rows import ABSENT
+from track_before_detect.kernels.search.viterbi import BLOCKS, run_of_blocks
 
 _U = np.uint64
 
@@ -41,28 +42,28 @@ def _moved_bits(marks, n):
 
 
 @numba.njit(**FINITE)
-def _differ(new, a, old, b, n):
-    bits = np.int32(0)
+def _differ(new, a, old, b, n, price):
+    differ = np.int32(0)
     for x in range(_U(n)):
-        bits |= new[a + x] ^ old[b + x]
-    return bits != 0
+        differ |= np.int32(new[a + x] - price != old[b + x])
+    return differ != 0
 
 
 @numba.njit(**FINITE)
-def _largest_rise(new, a, old, b, n):
+def _largest_rise(new, a, old, b, n, price):
     rise = np.float32(0)
     for x in range(_U(n)):
-        change = new[a + x] - old[b + x]
+        change = new[a + x] - price - old[b + x]
         rise = rise if rise > change else change
     return rise
 
 
 @numba.njit(**FINITE)
-def _copy_and_size(out, o, source, a, n):
+def _copy_and_size(out, o, source, a, n, price):
     """Write source[a + x] to out[o + x]; return the largest size of those that are not absent."""
     largest = np.float32(0)
     for x in range(_U(n)):
-        score = source[a + x]
+        score = source[a + x] - price
         out[o + x] = score
         size = abs(score) if score > ABSENT else np.float32(0)
         largest = largest if largest > size else size
@@ -70,15 +71,13 @@ def _copy_and_size(out, o, source, a, n):
 
 
 @numba.njit(**FINITE)
-def replace_scores(scores, scores_bits, marks, rise, largest, new, new_bits, rows, layout,
-                   first_row, last_row):
+def replace_scores(scores, marks, rise, largest, new, price, rows, layout, first_row, last_row):
     """Bring the scores up to date, and find where they differ and how much they rise.
 
-    scores, scores_bits : what is kept, and the same seen as int32
     marks : uint64 (T, Y), blocks that differ
     rise : float32 (Y, T), largest rise in the row, not below zero
     largest : float32 (Y, T), raised to the largest size of a new score in the row
-    new, new_bits : float32 (T, Y, X), and the same, flat, seen as int32
+    new : float32 (T, Y, X), of which ``price`` is taken off
     rows : bool (T, Y), false where nothing differs
     """
     flat = new.reshape(new.size)
@@ -90,29 +89,30 @@ def replace_scores(scores, scores_bits, marks, rise, largest, new, new_bits, row
                 continue
             row = (t * layout.n_y + y) * layout.n_x
             kept = layout.pad + (t * layout.n_y + y) * layout.stride
-            if not _differ(new_bits, _U(row), scores_bits, _U(kept), layout.n_x):
+            if not _differ(flat, _U(row), scores, _U(kept), layout.n_x, price):
                 continue
             for start in range(0, layout.n_x, layout.block):
                 n = min(layout.block, layout.n_x - start)
-                if _differ(new_bits, _U(row + start), scores_bits, _U(kept + start), n):
+                o, a = _U(kept + start), _U(row + start)
+                if _differ(flat, a, scores, o, n, price):
                     marks[t, y] |= _U(1) << _U(start // layout.block)
-                    o, a = _U(kept + start), _U(row + start)
-                    rise[y, t] = max(rise[y, t], _largest_rise(flat, a, scores, o, n))
-                    largest[y, t] = max(largest[y, t], _copy_and_size(scores, o, flat, a, n))
+                    rise[y, t] = max(rise[y, t], _largest_rise(flat, a, scores, o, n, price))
+                    largest[y, t] = max(largest[y, t],
+                                        _copy_and_size(scores, o, flat, a, n, price))
 
 
 @numba.njit(**FINITE)
-def _copy_and_raise_sizes(out, o, source, a, sizes, n):
+def _copy_and_raise_sizes(out, o, source, a, sizes, n, price):
     for x in range(_U(n)):
-        score = source[a + x]
+        score = source[a + x] - price
         out[o + x] = score
         size = abs(score) if score > ABSENT else np.float32(0)
         sizes[x] = sizes[x] if sizes[x] > size else size
 
 
 @numba.njit(**FINITE)
-def store_scores(scores, largest, new, layout, first_row, last_row):
-    """Copy scores (T, Y, X), and find how large they are.
+def store_scores(scores, largest, new, price, layout, first_row, last_row):
+    """Copy scores (T, Y, X) less a ``price``, and find how large they are.
 
     largest : float32 (Y, T), the largest size in frame t in one of these rows, zero in the others
     """
@@ -123,7 +123,7 @@ def store_scores(scores, largest, new, layout, first_row, last_row):
         for y in range(first_row, last_row):
             row = t * layout.n_y + y
             _copy_and_raise_sizes(scores, _U(layout.pad + row * layout.stride), flat,
-                                  _U(row * layout.n_x), sizes, layout.n_x)
+                                  _U(row * layout.n_x), sizes, layout.n_x, price)
             largest[y, t] = 0
         largest[first_row, t] = sizes.max()
 
@@ -191,7 +191,7 @@ def spread_turns(near, wanted, segment, first_row, last_row):
 
 @numba.njit(**FINITE)
 def wanted_before(wanted, stale, near, arrival, layout, first_row, last_row):
-    """Write to wanted[y, v] the stale states of a segment that wanted ones follow.
+    """Add to wanted[y, v] the stale states of a segment that wanted ones follow.
 
     near : what ``spread_turns`` makes of the states wanted in the segment after
     arrival : int64 (V, 2), displacement over the segment
@@ -200,10 +200,9 @@ def wanted_before(wanted, stale, near, arrival, layout, first_row, last_row):
     for y in range(first_row, last_row):
         for v in range(n_v):
             row = y + arrival[v, 1]
-            wanted[y, v] = _U(0)
             if stale[y, v] and 0 <= row < n_y and near[row, v]:
-                wanted[y, v] = stale[y, v] & _shifted_blocks(near[row, v], arrival[v, 0],
-                                                             layout.block)
+                wanted[y, v] |= stale[y, v] & _shifted_blocks(near[row, v], arrival[v, 0],
+                                                              layout.block)
 
 
 @numba.njit(**FINITE)
@@ -226,8 +225,8 @@ def raise_stale(best, stale, rise, layout, first_row, last_row):
 
 
 @numba.njit(**FINITE)
-def wanted_last(wanted, stale, best, level, layout, first_row, last_row):
-    """Write to wanted[y] the stale blocks of the last segment with a bound above ``level``."""
+def wanted_ends(wanted, stale, best, level, layout, first_row, last_row):
+    """Write to wanted[y] the stale blocks of ``best`` with a bound above ``level``."""
     for y in range(first_row, last_row):
         wanted[y] = _U(0)
         b, _ = run_of_blocks(stale[y], 0, BLOCKS)

@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement, curvatures
-from track_before_detect.models.measurement.base import Frames
+from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.measurement.base import Frames, OverRows, Scores, SearchWork
+from track_before_detect.models.measurement.multi_sensor_scores import MultiSensorScores
 from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.motion.state_graph import StateGraph
 
@@ -72,10 +74,6 @@ class MultiSensor:
         """Return the size (H, W) that frames are padded to."""
         return max(h for h, _ in self.shapes), max(w for _, w in self.shapes)
 
-    def n_kinds(self, graph: StateGraph) -> int:
-        """Return how many shapes the velocities of a graph give a target."""
-        return 1
-
     @cached_property
     def key(self) -> str:
         """Text that differs between views that differ."""
@@ -121,6 +119,23 @@ class MultiSensor:
     def limits(self, _: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position."""
         return np.array([self.shape[1] - 1.0, self.shape[0] - 1.0])
+
+    def n_kinds(self, graph: StateGraph) -> int:
+        """Return how many scores each position has, between which the velocity chooses."""
+        return 1
+
+    def scores(self, graph: StateGraph, shape: tuple[int, int], amplitudes: AmplitudeModel,
+               over_rows: OverRows) -> Scores:
+        """Return the scores of all positions; see ``MeasurementModel``."""
+        return MultiSensorScores(self, amplitudes, over_rows)
+
+    def search_work(self, graph: StateGraph, is_complex: bool) -> SearchWork:
+        """Return what a search of the paths of a graph has to compute."""
+        pixels = np.array([(2 * psf.half_width + 1)**2 for psf in self.psfs])
+        stamps = np.array([len(psf.coefficients) * psf.optics().nodes.size for psf in self.psfs])
+        n_seen = np.bincount(self.sensor, minlength=len(self.psfs))
+        return SearchWork(0, 0, int(pixels.sum()), int((1 + is_complex) * pixels @ n_seen),
+                          int(stamps @ n_seen), int((stamps * pixels) @ n_seen))
 
     def window(self, shape: tuple[int, int]) -> MultiSensor:
         """Return the view of a part (H, W) in the middle of the plane."""

@@ -16,7 +16,9 @@ from scipy.special import ndtr
 from track_before_detect.errors import ParameterError
 from track_before_detect.kernels.psf.measurement import CompiledMeasurement
 from track_before_detect.kernels.psf.psf_profiles import fill_profiles, Optics, product_norm
-from track_before_detect.models.measurement.base import Frames
+from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.measurement.base import Frames, OverRows, Scores, SearchWork
+from track_before_detect.models.measurement.psf_scores import PsfScores
 from track_before_detect.models.motion.state_graph import StateGraph
 
 LEAST_SIGMA_PX = 0.2
@@ -158,12 +160,24 @@ class Psf(ABC):
         return np.array([shape[1] - 1.0, shape[0] - 1.0])
 
     def n_kinds(self, graph: StateGraph) -> int:
-        """Return how many shapes the velocities of a graph give a target."""
+        """Return how many scores each position has, between which the velocity chooses."""
         return 1
 
     def gaussian(self, width_px: float) -> Psf:
         """Return what a Gaussian target of a width looks like, or of the least width there is."""
         return GaussianPsf(max(width_px, LEAST_SIGMA_PX))
+
+    def scores(self, graph: StateGraph, shape: tuple[int, int], amplitudes: AmplitudeModel,
+               over_rows: OverRows) -> Scores:
+        """Return the scores of all positions; see ``MeasurementModel``."""
+        return PsfScores(self, shape, amplitudes, over_rows)
+
+    def search_work(self, graph: StateGraph, is_complex: bool) -> SearchWork:
+        """Return what a search of the paths of a graph has to compute."""
+        n_parts = len(self.coefficients)
+        stamps = graph.n_frames * n_parts * self.optics().nodes.size
+        return SearchWork(graph.n_frames * n_parts, 0, 0, 0, stamps,
+                          stamps * (2 * self.half_width + 1)**2)
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.psf.psf_profiles import Optics
-from track_before_detect.models.measurement.base import Frames
+from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.measurement.base import Frames, OverRows, Scores, SearchWork
 from track_before_detect.models.measurement.psf import Psf
+from track_before_detect.models.measurement.streak_scores import places_along, StreakScores
 from track_before_detect.models.motion.state_graph import StateGraph
 
 # Moments of the exposure for each standard deviation of the PSF along the longest streak.
@@ -69,10 +71,6 @@ class StreakPsf(Psf):
         """Curvature of a target at rest, see :class:`Psf`."""
         return self.base.curvature
 
-    def n_kinds(self, graph: StateGraph) -> int:
-        """Return how many shapes the velocities of a graph give a target."""
-        return len(streaks_of(graph, self)[0])
-
     @property
     def gaussian_sigma_px(self) -> float | None:
         """Standard deviation of a Gaussian at rest; None of any other PSF."""
@@ -94,6 +92,22 @@ class StreakPsf(Psf):
             half=self.half_width, nodes=nodes / 2, shares=shares / 2,
             exposure=float(self.exposure), longest_smear=float(self.longest_px),
             times=np.array(self.times))
+
+    def n_kinds(self, graph: StateGraph) -> int:
+        """Return how many scores each position has, between which the velocity chooses."""
+        return len(streaks_of(graph, self)[0])
+
+    def scores(self, graph: StateGraph, shape: tuple[int, int], amplitudes: AmplitudeModel,
+               over_rows: OverRows) -> Scores:
+        """Return the scores of all positions; see ``MeasurementModel``."""
+        return StreakScores(self, shape, amplitudes, over_rows, *streaks_of(graph, self))
+
+    def search_work(self, graph: StateGraph, is_complex: bool) -> SearchWork:
+        """Return what a search of the paths of a graph has to compute."""
+        streaks, _ = streaks_of(graph, self)
+        n_places = sum(len(places_along(streak * self.oversampling)) for streak in streaks)
+        return super().search_work(graph, is_complex)._replace(
+            streak_places=graph.n_frames * n_places)
 
 
 def streaks_of(graph: StateGraph, psf: StreakPsf) -> tuple[NDArray, NDArray[np.int64]]:

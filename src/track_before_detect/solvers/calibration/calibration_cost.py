@@ -10,11 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.multi_sensor import MultiSensor
-from track_before_detect.models.measurement.psf import Psf
-from track_before_detect.models.measurement.streak import StreakPsf, streaks_of
+from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.motion.state_graph import StateGraph
-from track_before_detect.solvers.search.streak_scores import places_along
 
 # Of the score of a place in a frame and each component of the PSF, the noise included; of complex
 # ones so many times that.
@@ -41,7 +38,7 @@ SECONDS_PER_STAMP = 5e-5
 SECONDS_PER_STAMP_PIXEL = 2.7e-7
 
 
-def search_seconds(graph: StateGraph, psf: Psf | MultiSensor, grid: tuple[int, int],
+def search_seconds(graph: StateGraph, measurement: MeasurementModel, grid: tuple[int, int],
                    model: AmplitudeModel, partial: bool, n_refined: int) -> float:
     """Return the CPU time of one search of noise.
 
@@ -49,8 +46,8 @@ def search_seconds(graph: StateGraph, psf: Psf | MultiSensor, grid: tuple[int, i
     ----------
     graph : StateGraph
         The paths.
-    psf : Psf or MultiSensor
-        What a target looks like.
+    measurement : MeasurementModel
+        How frames see targets.
     grid : tuple of int
         Positions (Y, X).
     model : AmplitudeModel
@@ -65,40 +62,12 @@ def search_seconds(graph: StateGraph, psf: Psf | MultiSensor, grid: tuple[int, i
         passes = CONSTANT_PARTIAL_PASSES if model.is_constant else PARTIAL_PASSES
     table = passes * graph.n_velocities * (
         graph.n_frames * SECONDS_PER_SUM + (graph.n_segments - 1) * SECONDS_PER_TURN)
-    places = float(np.prod(grid))
-    return (places * (_scoring(graph, psf, model) + table)
-            + n_refined * (SECONDS_PER_PATH + _looking(graph, psf)))
-
-
-def _scoring(graph, psf, model):
-    """Seconds that the scores of a place take, all frames together."""
-    if isinstance(psf, MultiSensor):
-        return sum(
-            _pixels(own) * (SECONDS_PER_MAPPED_PIXEL
-                            + SECONDS_PER_PIXEL_SEEN * np.count_nonzero(psf.sensor == sensor))
-            for sensor, own in enumerate(psf.psfs))
-    seconds = SECONDS_PER_SCORE * len(psf.coefficients)
-    if model.is_complex:
-        seconds *= COMPLEX_SCORES
-    if isinstance(psf, StreakPsf):
-        streaks, _ = streaks_of(graph, psf)
-        n_places = sum(len(places_along(streak * psf.oversampling)) for streak in streaks)
-        seconds += SECONDS_PER_STREAK_PLACE * n_places
-    return graph.n_frames * seconds
-
-
-def _looking(graph, psf):
-    """Seconds that looking at all frames takes while a path is refined."""
-    if not isinstance(psf, MultiSensor):
-        return graph.n_frames * _evaluate(psf)
-    return sum(_evaluate(psf.psfs[sensor]) for sensor in psf.sensor)
-
-
-def _evaluate(psf):
-    stamps = len(psf.coefficients) * psf.optics().nodes.size
-    return SECONDS_PER_FRAME + stamps * (
-        SECONDS_PER_STAMP + SECONDS_PER_STAMP_PIXEL * _pixels(psf))
-
-
-def _pixels(psf):
-    return (2 * psf.half_width + 1)**2
+    work = measurement.search_work(graph, model.is_complex)
+    scoring = (
+        (COMPLEX_SCORES if model.is_complex else 1.0) * SECONDS_PER_SCORE * work.filtered
+        + SECONDS_PER_STREAK_PLACE * work.streak_places
+        + SECONDS_PER_MAPPED_PIXEL * work.stamp_pixels + SECONDS_PER_PIXEL_SEEN * work.seen_pixels)
+    looking = (SECONDS_PER_FRAME * graph.n_frames + SECONDS_PER_STAMP * work.stamps
+               + SECONDS_PER_STAMP_PIXEL * work.pixels)
+    return (float(np.prod(grid)) * (scoring + table)
+            + n_refined * (SECONDS_PER_PATH + looking))

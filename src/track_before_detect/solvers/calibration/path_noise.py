@@ -7,13 +7,12 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.models.measurement.base import MeasurementModel
+from track_before_detect.models.measurement.base import grid_shape, MeasurementModel
 from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.solvers.calibration.calibration_cost import search_seconds
 from track_before_detect.solvers.calibration.noise_study import noise_frames, NoiseStudy
 from track_before_detect.solvers.path_statistic import PathStatistic
 from track_before_detect.solvers.search.periodic_columns import PeriodicColumns
-from track_before_detect.solvers.search.position_scores import grid_shape
 
 
 def path_noise_study(name: str, graph: StateGraph, measurement: MeasurementModel,

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from track_before_detect.models.measurement.base import MeasurementModel
+from track_before_detect.models.measurement.base import grid_shape, MeasurementModel
 from track_before_detect.models.motion.state_graph import StateGraph
-from track_before_detect.solvers.search.position_scores import grid_shape
-from track_before_detect.solvers.search.sheared_plane import ShearedPlane
+from track_before_detect.models.presence import Presence
+from track_before_detect.solvers.search.sheared_scores import sheared_shape
 from track_before_detect.solvers.search.viterbi_table import table_bytes
 
 # Memory for the tables of one search, and comparisons made to fill them (some seconds of one
@@ -17,19 +17,14 @@ MOST_COMPARISONS = 8e9
 
 
 def affordable(graph: StateGraph, measurement: MeasurementModel, shape: tuple[int, int],
-               partial: bool) -> bool:
-    """Return whether the paths of a graph can be searched on a plane of a size (H, W).
-
-    With ``partial`` presence the last segment is kept as well.
-    """
-    grid = grid_shape(measurement, shape)
-    if graph.coupling is not None:
-        grid = ShearedPlane(graph, grid).shape
-    states = graph.n_segments * graph.n_velocities * float(np.prod(grid))
-    memory = 4 * states if partial else table_bytes(graph, grid)
+               presence: Presence | None) -> bool:
+    """Return whether the paths of a graph can be searched on a plane of a size (H, W)."""
+    grid = sheared_shape(graph, grid_shape(measurement, shape))
+    memory = table_bytes(graph, grid, presence)
     n_kinds = measurement.n_kinds(graph)
     if n_kinds > 1:
-        # Each kind has scores of its own, which the table copies.
-        memory += 8 * n_kinds * graph.n_frames * float(np.prod(grid))
+        # Streaks of each shape have scores of their own, which the table copies.
+        memory += 8 * n_kinds * graph.n_frames * int(np.prod(grid))
+    states = graph.n_segments * graph.n_velocities * float(np.prod(grid))
     return (memory <= MOST_TABLE_BYTES
             and states * (1 + 4 * graph.reach) <= MOST_COMPARISONS)
