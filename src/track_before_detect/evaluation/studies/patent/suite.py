@@ -15,6 +15,7 @@ from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.engine.seeds import run_seeds
 from track_before_detect.evaluation.engine.suite import Suite, SuiteResult
 from track_before_detect.evaluation.studies.patent import runs as patent_runs
+from track_before_detect.evaluation.studies.patent import scenes
 from track_before_detect.evaluation.studies.patent.figures import (
     COMBINATORIAL,
     CONTINUATION,
@@ -25,12 +26,6 @@ from track_before_detect.evaluation.studies.patent.figures import (
     GREEDY,
 )
 from track_before_detect.evaluation.studies.patent.pictures import draw_figure, draw_shares
-from track_before_detect.evaluation.studies.patent.scenes import (
-    MAX_ACCELERATION_PX,
-    MAX_SPEED_PX,
-    N_FRAMES,
-    WIDTH_PX,
-)
 from track_before_detect.options import DEFAULT_CONTINUATION
 
 METHODS: dict[str, dict[str, Any]] = {
@@ -96,9 +91,10 @@ def run_patent(runs: int, seed: int, runner: Runner) -> SuiteResult:
         'Figures 2-7 of US application 18/790,866',
         f'{runs} scenes per figure, one-dimensional, unit noise; pairs and targets lie at random '
         'parts of a pixel. Figures 2-4: one frame, PSF of 3 px, threshold 5; a pair counts the '
-        f'detections near it. Figures 5-7: {N_FRAMES} frames of {WIDTH_PX} positions, PSF of '
-        '2 px, false alarm rate 0.01, and one motion model: speeds up to '
-        f'{MAX_SPEED_PX:g} px/frame, accelerations up to {MAX_ACCELERATION_PX:g} px/frame^2; a '
+        f'detections near it. Figures 5-7: {scenes.N_FRAMES} frames of {scenes.WIDTH_PX} '
+        'positions, PSF of 2 px, false alarm rate 0.01, and one motion model: speeds up to '
+        f'{scenes.MAX_SPEED_PX:g} px/frame, accelerations up to '
+        f'{scenes.MAX_ACCELERATION_PX:g} px/frame^2; a '
         f'target is found by a trajectory that stays within {FOUND_PX:g} px of it on average, and '
         'each trajectory counts for one target at most. Methods: convex (t = 1 only, whose '
         'optimum often shows one target as several neighbouring paths), continuation (the '

@@ -18,12 +18,7 @@ from track_before_detect.evaluation.benchmarks.numpy_merit import Padded
 from track_before_detect.evaluation.engine.quantities import mean
 from track_before_detect.evaluation.engine.tables import markdown_table
 from track_before_detect.evaluation.metrics.paper_metrics import SAME_POINT_PX
-from track_before_detect.evaluation.studies.ring.scenes import (
-    point_frames,
-    RING_SIDE_PX,
-    ring_single,
-    SINGLE_V_MAX,
-)
+from track_before_detect.evaluation.studies.ring import scenes
 from track_before_detect.models.motion.transition_sets import directional_sets
 from track_before_detect.models.motion.velocity_candidates import matching_bits, whole_velocities
 
@@ -105,10 +100,9 @@ def traced(merit: NDArray, v_max: int) -> NDArray[np.int64]:
 
 def measure(item: Mapping[str, Any]) -> dict[str, float]:
     """Return P_d by reading; the item holds ``case``, ``n_frames``, ``snr`` and ``seed``."""
-    truth = np.rint(ring_single(item['case'], item['n_frames']))
-    frames = point_frames(np.random.default_rng(item['seed']), truth[None], item['snr'],
-                          RING_SIDE_PX)
-    v_max = SINGLE_V_MAX[item['case']]
+    truth = np.rint(scenes.ring_single(item['case'], item['n_frames']))
+    frames = scenes.point_frames(np.random.default_rng(item['seed']), truth[None], item['snr'])
+    v_max = scenes.SINGLE_V_MAX[item['case']]
     merit = plain(frames, v_max)
     near = whole_velocities(v_max)
     near = near[(near**2).sum(axis=1) <= v_max**2]
