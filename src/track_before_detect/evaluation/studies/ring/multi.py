@@ -46,8 +46,8 @@ def run_ring_multi(runs: int, seed: int, runner: Runner) -> SuiteResult:
         shares.COMMON + f'{runs} runs per point (the paper: 1000), {scenes.N_FRAMES} frames. '
         'Test cases of Figure 7: 1, two lines that cross; 2, line 1 and an arc of 20 px radius; '
         '3, all three. The methods are told the number of targets. P_d (Eq. 15): share of the '
-        'points of targets within a pixel of a trajectory; P_f (Eq. 16): points of trajectories that are no '
-        "target's, over all pixels. Intervals: bootstrap over runs.",
+        'points of targets within a pixel of a trajectory; P_f (Eq. 16): points of trajectories '
+        "that are no target's, over all pixels. Intervals: bootstrap over runs.",
         rows, _quantities(p_d, p_f), {'snrs': SNRS},
         functools.partial(pictures.draw_multi, means=p_d.means(), half_widths=p_d.half_widths(),
                           snrs=SNRS),
