@@ -47,8 +47,8 @@ def run_ring_single(runs: int, seed: int, runner: Runner) -> SuiteResult:
         'line at (1.2, 1.1) px/frame with v_max = 2; 2, a line at (0.6, 0.8); 3, an arc of '
         '20 px diameter at 1 px/frame, both with v_max = 1. P_d (Eq. 15) is the share of frames '
         'in which the largest merit function is within a pixel of the target on both axes. '
-        '"Best" is the best of all cases and sequence lengths. Intervals: bootstrap over runs, in which the methods '
-        'saw the same frames.',
+        '"Best" is the best of all cases and sequence lengths. Intervals: bootstrap '
+        'over runs, in which the methods saw the same frames.',
         rows, _quantities(table), {'snrs': SNRS, 'lengths': LENGTHS},
         functools.partial(pictures.draw_single, means=table.means(),
                           half_widths=table.half_widths(), snrs=SNRS, lengths=LENGTHS,
