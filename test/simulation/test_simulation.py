@@ -7,7 +7,7 @@ import pytest
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.simulation.scenarios import Scenario, SCENARIOS, simulate
-from track_before_detect.simulation.sensor import gaussian_stamp_image
+from track_before_detect.simulation.sensor import add_path, gaussian_stamp_image
 
 
 def paths(recording):
@@ -33,6 +33,20 @@ def test_stamp_is_cut_at_the_border_not_scaled(x, y, sigma):
     large = gaussian_stamp_image((160, 160), x + 60, y + 60, sigma)
     small = gaussian_stamp_image((20, 30), x, y, sigma)
     np.testing.assert_allclose(small, large[60:80, 60:90], atol=1e-12)
+
+
+def test_path_is_drawn_in_the_frames_it_is_in_with_the_amplitude_of_each():
+    frames = np.zeros((3, 20, 30))
+    path = np.array([[9.3, 8.2], [np.nan, np.nan], [12.0, 7.5]])
+    add_path(frames, path, 1.2, [2.0, 5.0, 3.0])
+    for frame, (x, y), amplitude in zip(frames[::2], path[::2], (2.0, 3.0), strict=True):
+        np.testing.assert_allclose(frame, amplitude * gaussian_stamp_image((20, 30), x, y, 1.2))
+    assert not frames[1].any()
+    # Smeared along its way, a target has the same norm.
+    smeared = np.zeros((3, 40, 40))
+    add_path(smeared, path + 10, 1.2, 2.0, np.full((3, 2), 3.0))
+    np.testing.assert_allclose(np.linalg.norm(smeared, axis=(1, 2)), [2, 0, 2])
+    assert smeared.max() < frames[0].max()
 
 
 @pytest.mark.parametrize('name', SCENARIOS)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+import functools
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,8 @@ PAPER_MS = {
 }
 PAPER_SIDE_PX = 128
 LARGE_SIDE_PX = 512
+
+_ms = functools.partial(in_ms, digits=3)
 
 
 @dataclass(frozen=True)
@@ -109,10 +112,6 @@ def _lines(measured: Mapping[str, Any]) -> list[str]:
         f'Times in ms a frame, least of {measured["repeats"]} (median in brackets); ratios and '
         'NumPy by CPU time.',
         'Paper: Table 1 of Fu et al. 2022 (MATLAB, Intel i5-2400 at 3.1 GHz).']
-
-
-def _ms(times: Mapping[str, float]) -> str:
-    return in_ms(times, 3)
 
 
 BENCH = Bench('dp', cases, _lines)

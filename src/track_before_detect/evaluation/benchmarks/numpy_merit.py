@@ -30,22 +30,34 @@ def numpy_merit_functions(frames: NDArray, order: str, v_max: int) -> NDArray[np
     v_max : int
         Largest velocity in pixels per frame.
     """
-    merit = np.empty_like(frames)
     if order == 'cfo':
-        merit[0] = frames[0]
-        before = Padded(frames.shape[1:], v_max, -np.inf)
-        best = np.empty_like(frames[0])
-        for t in range(1, len(frames)):
-            before.fill(merit[t - 1])
-            best.fill(-np.inf)
-            for velocity in whole_velocities(v_max):
-                np.maximum(best, before.moved(velocity), out=best)
-            np.add(frames[t], best, out=merit[t])
-        return merit
+        return first_order(frames, v_max)
+    merit = np.empty_like(frames)
     search = _SecondOrder(frames, order, v_max)
     merit[:2] = frames[:2]
     for t in range(2, len(frames)):
         search.step(merit, t)
+    return merit
+
+
+def first_order(frames: NDArray, v_max: int, velocities: NDArray | None = None,
+                memory: float = 1.0) -> NDArray[np.float32]:
+    """Accumulate over given velocities (all whole ones unless given), with a memory coefficient.
+
+    The coefficient of Succary et al. 2003 weighs what comes from the frame before.
+    """
+    merit = np.empty_like(frames)
+    merit[0] = frames[0]
+    before = Padded(frames.shape[1:], v_max, -np.inf)
+    best = np.empty_like(frames[0])
+    for t in range(1, len(frames)):
+        before.fill(merit[t - 1])
+        best.fill(-np.inf)
+        for velocity in whole_velocities(v_max) if velocities is None else velocities:
+            np.maximum(best, before.moved(velocity), out=best)
+        if memory != 1:
+            best *= np.float32(memory)
+        np.add(frames[t], best, out=merit[t])
     return merit
 
 

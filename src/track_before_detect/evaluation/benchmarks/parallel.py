@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+import functools
 import itertools
 from typing import Any
 
@@ -33,6 +34,8 @@ P_FA = 0.1
 N_DIRECTIONS = 4
 POINT = GaussianPsf(0.3)
 MERIT = Merit(squared=True)
+
+_ms = functools.partial(in_ms, digits=2)
 
 
 @dataclass(frozen=True)
@@ -166,10 +169,6 @@ def _ratio(case: Mapping[str, Any], key: str, name: str) -> str:
 
 def _millions(count: float) -> str:
     return f'{count / 1e6:.3f}'
-
-
-def _ms(times: Mapping[str, float]) -> str:
-    return in_ms(times, 2)
 
 
 # Frames of 512 x 512 cells are always measured.

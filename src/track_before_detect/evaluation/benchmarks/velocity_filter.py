@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+import functools
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,8 @@ SIDES_PX = (128, 512)
 MAX_SPEED_PX = 1.0
 LEAST_PHI = 2.0
 THREADS = (1, 2)
+
+_ms = functools.partial(in_ms, digits=1)
 
 
 @dataclass(frozen=True)
@@ -101,10 +104,6 @@ def _lines(measured: Mapping[str, Any]) -> list[str]:
         f'Sums shared between velocities: {case["additions"]} rows added for {case["n_frames"]} '
         f'frames and all v_x, not {case["plain_additions"]}; largest difference to NumPy '
         f'{case["largest_difference"]:.1g}.']
-
-
-def _ms(times: Mapping[str, float]) -> str:
-    return in_ms(times, 1)
 
 
 BENCH = Bench('velocity_filter', lambda large: {

@@ -21,43 +21,19 @@ SAME_POINT_PX = 1.0
 SAME_END_CELLS = 2.0
 
 
-@dataclass(frozen=True)
-class PointCounts:
-    """What Eq. 15 and 16 of Fu et al. are made of, in points: one target in one frame.
+def count_points(found: Paths, targets: Paths) -> tuple[int, int]:
+    """Return how many points of targets are detected, and how many of trajectories are false.
 
-    Attributes
-    ----------
-    detected, targets : int
-        Points of targets that a trajectory goes through, and all of them.
-    false, pixels : int
-        Points of trajectories that are no target's, and pixels of the sequence.
+    A point is one target or trajectory in one frame. The first over all points of targets is P_d
+    (Eq. 15 of Fu et al.), the second over all pixels of the sequence is P_f (Eq. 16).
     """
-
-    detected: int
-    targets: int
-    false: int
-    pixels: int
-
-    @property
-    def detection_probability(self) -> float:
-        """P_d, Eq. 15."""
-        return self.detected / self.targets
-
-    @property
-    def false_alarm_probability(self) -> float:
-        """P_f, Eq. 16."""
-        return self.false / self.pixels
-
-
-def count_points(found: Paths, targets: Paths, shape: tuple[int, int, int]) -> PointCounts:
-    """Count detected and false points in frames of ``shape`` (T, H, W)."""
-    estimates = np.asarray(found, float).reshape(-1, shape[0], 2)
-    truths = np.asarray(targets, float).reshape(-1, shape[0], 2)
+    n_frames = len([*found, *targets][0]) if len(found) or len(targets) else 0
+    estimates = np.asarray(found, float).reshape(len(found), n_frames, 2)
+    truths = np.asarray(targets, float).reshape(len(targets), n_frames, 2)
     # A comparison with NaN is false: what is absent is near nothing.
     near = np.abs(estimates[:, None] - truths[None]).max(axis=3) <= SAME_POINT_PX
     present = np.isfinite(estimates).all(axis=2)
-    return PointCounts(int(near.any(axis=0).sum()), int(np.isfinite(truths).all(axis=2).sum()),
-                       int((present & ~near.any(axis=1)).sum()), int(np.prod(shape)))
+    return int(near.any(axis=0).sum()), int((present & ~near.any(axis=1)).sum())
 
 
 @dataclass(frozen=True)

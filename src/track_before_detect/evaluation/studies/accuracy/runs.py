@@ -8,15 +8,10 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.evaluation.engine.detectors import search
-from track_before_detect.evaluation.studies.single_target import (
-    frames_with,
-    mean_errors,
-    random_path,
-    SIGMA_PX,
-)
+from track_before_detect.evaluation.studies import single_target
 
 # A second trajectory this near to a target is made by it, not by noise.
-GHOST_PX = 6 * SIGMA_PX
+GHOST_PX = 6 * single_target.SIGMA_PX
 
 
 def isolated_target(item: Mapping[str, Any]) -> dict[str, Any]:
@@ -37,13 +32,14 @@ def isolated_target(item: Mapping[str, Any]) -> dict[str, Any]:
         nothing was found.
     """
     rng = np.random.default_rng(item['seed'])
-    truth = random_path(rng, 'line') + 0.5 * (item['side_px'] - 1) + rng.uniform(-3, 3, 2)
-    frames = frames_with(rng, item['side_px'], truth, item['snr'], item['sigma_px'])
+    middle = 0.5 * (item['side_px'] - 1)
+    truth = single_target.random_path(rng, 'line') + middle + rng.uniform(-3, 3, 2)
+    frames = single_target.frames_with(rng, item['side_px'], truth, item['snr'], item['sigma_px'])
     found = search({'threshold': item['threshold']}, frames).found
     if not found:
         return {'n_found': 0, 'n_ghosts': 0, 'squared_errors': None, 'amplitude': None}
     best = max(found, key=lambda one: one.statistic)
-    others = mean_errors([one for one in found if one is not best], truth)
+    others = single_target.mean_errors([one for one in found if one is not best], truth)
     return {'n_found': len(found), 'n_ghosts': sum(error < GHOST_PX for error in others),
             'squared_errors': ((best.positions - truth)**2).mean(axis=1).tolist(),
             'amplitude': float(best.amplitudes.mean() / item['snr'])}

@@ -15,18 +15,7 @@ from track_before_detect.evaluation.studies.compare.scenes import SCENES
 
 def draw_found(figure: Any, means: NDArray, snrs: Sequence[float], names: Sequence[str],
                rate: float) -> None:
-    """Draw the share of targets found as a table in colours.
-
-    Parameters
-    ----------
-    figure : matplotlib Figure
-    means : array, shape (scenes, S, M)
-        Share of targets found.
-    snrs, names : sequence
-        What S and M stand for.
-    rate : float
-        Requested false alarms.
-    """
+    """Draw the share of targets found, shape (scenes, SNRs, methods), as a table in colours."""
     figure.set_size_inches(11, 9)
     axes = figure.subplots()
     table = 100 * means.reshape(-1, len(names))
@@ -70,15 +59,7 @@ def draw_scenes(figure: Any) -> None:
 def draw_roc(figure: Any, curves: Mapping[str, Roc], rate: float, ours: str) -> None:
     """Draw targets found against false alarms while the threshold varies.
 
-    Parameters
-    ----------
-    figure : matplotlib Figure
-    curves : mapping
-        By method.
-    rate : float
-        Requested false alarms of the other pictures.
-    ours : str
-        The method that is drawn on top, with its interval.
+    ``rate`` is that of the other pictures; ``ours`` is drawn on top, with its interval.
     """
     figure.set_size_inches(11, 5.5)
     axes = figure.subplots()

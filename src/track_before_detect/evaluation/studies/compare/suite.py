@@ -19,17 +19,10 @@ from track_before_detect.evaluation.engine.suite import Suite, SuiteResult
 from track_before_detect.evaluation.engine.tables import markdown_table
 from track_before_detect.evaluation.metrics.confidence import bootstrap_interval
 from track_before_detect.evaluation.metrics.roc import Roc, roc
-from track_before_detect.evaluation.studies.compare import pictures
+from track_before_detect.evaluation.studies.compare import pictures, scenes
 from track_before_detect.evaluation.studies.compare import runs as compare_runs
 from track_before_detect.evaluation.studies.compare.details import reasons, roc_table, Standing
 from track_before_detect.evaluation.studies.compare.runs import CUTOFF_PX, FOUND_PX, SWITCH_PX
-from track_before_detect.evaluation.studies.compare.scenes import (
-    n_targets,
-    PRESENT,
-    SCENES,
-    shape_of,
-    SIX,
-)
 from track_before_detect.options import DETECTORS
 
 SNRS = (1.5, 2.0, 3.0)
@@ -59,11 +52,12 @@ def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
     by_noise = {noise: _with_thresholds(wanted, noise, RATE, runner) for noise in NOISES}
 
     def items(scene: str, snr: float, count: int) -> list[dict[str, Any]]:
-        methods = by_noise[NOISES[shape_of(scene) == SIX]]
+        methods = by_noise[NOISES[scenes.shape_of(scene) == scenes.SIX]]
         return items_of(seed, f'compare {scene} {snr:g}', count, scene=scene, snr=snr,
                         methods=methods)
 
-    scene_items = [item for scene in SCENES for snr in SNRS for item in items(scene, snr, runs)]
+    scene_items = [item for scene in scenes.SCENES for snr in SNRS
+                   for item in items(scene, snr, runs)]
     noise_items = [item for noise in NOISES for item in items(noise, 0.0, 2 * runs)]
     results = runner.map(compare_runs.search, scene_items, 'searching scenes')
     noise = runner.map(compare_runs.search, noise_items, 'searching noise')
@@ -72,9 +66,9 @@ def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
     def gathered(key: str) -> NDArray[np.float64]:
         """Return a result by scene, SNR, run and method."""
         return np.array([[result[name][key] for name in names] for result in results],
-                        float).reshape(len(SCENES), len(SNRS), runs, len(names))
+                        float).reshape(len(scenes.SCENES), len(SNRS), runs, len(names))
 
-    targets = np.array([n_targets(scene) for scene in SCENES])[:, None, None]
+    targets = np.array([scenes.n_targets(scene) for scene in scenes.SCENES])[:, None, None]
     found = gathered('found') / targets[..., None]
     alarms = np.array([[result[name]['false'] for name in names] for result in noise]).reshape(
         len(NOISES), 2 * runs, len(names))
@@ -97,7 +91,7 @@ def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
         'Lines and arcs (20 px radius) at 0.2 to 1 px/frame, two parallel targets 5 px apart, '
         'two that cross at right angles, the three of Fu et al. 2022, Figure 7, '
         f'frames 20 to 39, and a line that is there in the last or first '
-        f'{PRESENT} frames. Thresholds for {100 * RATE:g} % of noise batches with a '
+        f'{scenes.PRESENT} frames. Thresholds for {100 * RATE:g} % of noise batches with a '
         'trajectory, each calibrated by its own method. A target is found by a trajectory less '
         f'than {FOUND_PX:g} px from it on average that is there in at least half of '
         'its frames; each counts once. Intervals: bootstrap over batches, which all methods '
@@ -148,7 +142,7 @@ def _with_thresholds(wanted: Methods, noise: str, rate: float,
                      runner: Runner) -> dict[str, dict[str, Any]]:
     """Return options with the threshold for batches of the size of a scene of noise."""
     return {name: {**options, 'threshold': runner.threshold(
-        {**options, 'false_alarm_rate': rate}, shape_of(noise))}
+        {**options, 'false_alarm_rate': rate}, scenes.shape_of(noise))}
         for name, options in wanted.items()}
 
 
@@ -160,7 +154,7 @@ def ours_in(scene: str) -> str:
 def _leaders(found: NDArray, names: Sequence[str]) -> NDArray[np.int64]:
     """Return which method finds most by scene and SNR, of equal ones ours."""
     means = found.mean(axis=2)
-    for number, scene in enumerate(SCENES):
+    for number, scene in enumerate(scenes.SCENES):
         means[number, :, names.index(ours_in(scene))] += 1e-9
     return np.argmax(means, axis=2)
 
@@ -169,7 +163,8 @@ def _standings(found: NDArray, names: Sequence[str]) -> list[Standing]:
     """Compare ours with the best other method, by scene and SNR."""
     others = [number for number, name in enumerate(names) if name not in (OURS, *VARIANTS)]
     standings = []
-    for (scene, label), (point, snr) in itertools.product(enumerate(SCENES), enumerate(SNRS)):
+    for (scene, label), (point, snr) in itertools.product(
+            enumerate(scenes.SCENES), enumerate(SNRS)):
         by_run = found[scene, point]
         means = by_run.mean(axis=0)
         rival = others[int(np.argmax(means[others]))]
@@ -184,7 +179,7 @@ def _standings(found: NDArray, names: Sequence[str]) -> list[Standing]:
 def _quantities(found: NDArray, names: Sequence[str], leaders: NDArray,
                 standings: Sequence[Standing], alarms: NDArray) -> list[Quantity]:
     quantities = []
-    points = itertools.product(range(len(SCENES)), range(len(SNRS)))
+    points = itertools.product(range(len(scenes.SCENES)), range(len(SNRS)))
     for (scene, point), standing in zip(points, standings, strict=True):
         by_run, leader = found[scene, point], leaders[scene, point]
         at = f'{standing.scene}, SNR {standing.snr:g}'
@@ -195,7 +190,7 @@ def _quantities(found: NDArray, names: Sequence[str], leaders: NDArray,
             standing.high, len(by_run), 'batches', '%',
             f'best other: {standing.rival}; {standing.verdict}'))
     for number, noise in enumerate(NOISES):
-        shape = ' x '.join(map(str, shape_of(noise)))
+        shape = ' x '.join(map(str, scenes.shape_of(noise)))
         for method, name in enumerate(names):
             hit = alarms[number, :, method] > 0
             quantities.append(share(f'noise of {shape} with a trajectory: {name}',
@@ -230,7 +225,7 @@ def _details(gathered: Callable[[str], NDArray], found: NDArray, targets: NDArra
             ('Purity of trajectories in per cent: frames near the one target that has most of '
              'them', 100 * purity, 0)):
         rows = []
-        for scene, label in enumerate(SCENES):
+        for scene, label in enumerate(scenes.SCENES):
             for point, snr in enumerate(SNRS):
                 cells = ['-' if np.isnan(value) else f'{value:.{digits}f}'
                          for value in means[scene, point]]

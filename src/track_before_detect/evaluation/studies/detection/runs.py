@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-import dataclasses
 import functools
 import json
 import time
@@ -23,46 +22,6 @@ FOUND_PX = 1.5
 TARGETS, NOISE = 'three_targets', 'noise'
 
 
-@dataclasses.dataclass(frozen=True)
-class Run:
-    """One simulated batch and what was found in it.
-
-    ``distances`` holds the position errors of found targets, shape (K, T), and ``statistics``
-    those of the trajectories that found them.
-    """
-
-    scenario: str
-    seed: int
-    n_targets: int
-    n_found: int
-    n_false: int
-    rmse_px: float
-    largest_statistic: float
-    threshold: float
-    status: str
-    cpu_s: float
-    wall_s: float
-    distances: NDArray
-    statistics: NDArray
-
-    def row(self) -> dict[str, Any]:
-        """Return what goes into the table."""
-        return {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
-                if field.name not in ('distances', 'statistics')}
-
-    def written(self) -> dict[str, Any]:
-        """Return the run as JSON holds it."""
-        return {**vars(self), 'distances': self.distances.tolist(),
-                'statistics': self.statistics.tolist()}
-
-    @classmethod
-    def read(cls, written: Mapping[str, Any]) -> Run:
-        """Return the run that was written."""
-        distances = written['distances'] or np.zeros((0, 0))
-        return cls(**{**written, 'distances': np.array(distances, float),
-                      'statistics': np.array(written['statistics'], float)})
-
-
 def measure(item: Mapping[str, Any]) -> dict[str, Any]:
     """Search one simulated batch.
 
@@ -70,6 +29,12 @@ def measure(item: Mapping[str, Any]) -> dict[str, Any]:
     ----------
     item : mapping
         ``scenario``, ``seed``, ``overrides`` of the scenario and ``threshold``.
+
+    Returns
+    -------
+    dict
+        Numbers of targets and of what was found, the largest statistic of all paths, times; the
+        ``distances`` of found targets in each frame, and the ``statistics`` of their trajectories.
     """
     overrides = item['overrides']
     pipeline = _warm_pipeline(item['scenario'], json.dumps(overrides), item['threshold'])
@@ -84,11 +49,14 @@ def measure(item: Mapping[str, Any]) -> dict[str, Any]:
     statistics = np.array([trajectory.statistic for trajectory in result.trajectories])
     # The first search finds the best of all paths, be it above the threshold or not.
     largest = (1 + result.history[0].violation) * result.threshold
-    return Run(
-        item['scenario'], item['seed'], len(targets), len(matching.pairs),
-        len(result.trajectories) - len(matching.pairs), rmse_of(matching.distances),
-        float(max([largest, *statistics])), result.threshold, result.status, cpu, wall,
-        matching.distances, statistics[matching.pairs[:, 0]]).written()
+    return {
+        'scenario': item['scenario'], 'seed': item['seed'], 'n_targets': len(targets),
+        'n_found': len(matching.pairs), 'n_false': len(statistics) - len(matching.pairs),
+        'rmse_px': rmse_of(matching.distances),
+        'largest_statistic': float(max([largest, *statistics])), 'threshold': result.threshold,
+        'status': result.status, 'cpu_s': cpu, 'wall_s': wall,
+        'distances': matching.distances.tolist(),
+        'statistics': statistics[matching.pairs[:, 0]].tolist()}
 
 
 def options_for(scenario: Scenario) -> DetectorOptions:

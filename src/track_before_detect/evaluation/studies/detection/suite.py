@@ -21,11 +21,12 @@ from track_before_detect.evaluation.studies.detection.runs import (
     NOISE,
     options_for,
     rmse_of,
-    Run,
     TARGETS,
 )
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.tracking.pipeline import TrackingPipeline
+
+Runs = list[dict[str, Any]]
 
 
 def run_detection(runs: int, seed: int, runner: Runner, **overrides: Any) -> SuiteResult:
@@ -49,10 +50,10 @@ def run_detection(runs: int, seed: int, runner: Runner, **overrides: Any) -> Sui
     of_noise = {key: value for key, value in overrides.items() if key != 'n_targets'}
 
     def measured(name: str, sequence: np.random.SeedSequence, count: int,
-                 changes: dict[str, Any], label: str) -> list[Run]:
+                 changes: dict[str, Any], label: str) -> Runs:
         items = [{'scenario': name, 'seed': one, 'overrides': changes, 'threshold': threshold}
                  for one in run_seeds(sequence, count)]
-        return [Run.read(result) for result in runner.map(measure, items, label)]
+        return runner.map(measure, items, label)
 
     with_targets = measured(TARGETS, for_targets, runs, overrides, 'searching three targets')
     noise = measured(NOISE, for_noise, 2 * runs, of_noise, 'searching noise')
@@ -65,27 +66,28 @@ def run_detection(runs: int, seed: int, runner: Runner, **overrides: Any) -> Sui
         f'stays within {FOUND_PX} px of it on average; each trajectory counts for one target at '
         'most, and every other trajectory is false. Intervals: Wilson for shares, Poisson for '
         'counts, bootstrap over runs for errors and times. CPU time is summed over all threads.',
-        [run.row() for run in with_targets + noise],
+        [{key: value for key, value in run.items() if key not in ('distances', 'statistics')}
+         for run in with_targets + noise],
         _quantities(with_targets, noise, options.false_alarm_rate),
         {'found_px': FOUND_PX, 'scenario': dataclasses.asdict(scenario),
          'options': dataclasses.asdict(options)},
         lambda figure: _draw(figure, with_targets, noise))
 
 
-def _quantities(with_targets: list[Run], noise: list[Run], requested: float) -> list[Quantity]:
+def _quantities(with_targets: Runs, noise: Runs, requested: float) -> list[Quantity]:
     """Return the lines of the report."""
-    n_targets = sum(run.n_targets for run in with_targets)
-    n_found = sum(run.n_found for run in with_targets)
-    n_false = sum(run.n_false for run in with_targets)
+    n_targets = sum(run['n_targets'] for run in with_targets)
+    n_found = sum(run['n_found'] for run in with_targets)
+    n_false = sum(run['n_false'] for run in with_targets)
     n_runs = len(with_targets)
-    sums = np.array([(np.nansum(run.distances**2), np.isfinite(run.distances).sum())
-                     for run in with_targets if run.n_found])
+    sums = np.array([(np.nansum(distances**2), np.isfinite(distances).sum())
+                     for distances in _distances(with_targets)])
     quantities = [
         share('targets found', n_found, n_targets, 'targets'),
         Quantity('false trajectories per batch with targets', n_false / n_runs,
                  *poisson_interval(n_false, n_runs), n_runs, 'batches'),
         Quantity('position RMSE of found targets',
-                 rmse_of(np.concatenate([run.distances.ravel() for run in with_targets])),
+                 rmse_of(np.concatenate([*map(np.ravel, _distances(with_targets)), []])),
                  *(bootstrap_interval(sums, _root_of_means) if len(sums) else (np.nan, np.nan)),
                  n_found, 'targets', 'px'),
         share('noise batches with a trajectory', _alarms(noise), len(noise), 'batches',
@@ -96,7 +98,7 @@ def _quantities(with_targets: list[Run], noise: list[Run], requested: float) -> 
             ('CPU time of a warm batch of noise, median', noise, 'cpu_s'),
             ('wall time of a warm batch with targets, median', with_targets, 'wall_s')):
         quantities.append(estimate(
-            label, [getattr(run, clock) for run in group],
+            label, [run[clock] for run in group],
             lambda drawn: float(np.median(drawn)), 'batches', 's'))
     return quantities
 
@@ -106,23 +108,28 @@ def _root_of_means(sums: NDArray) -> float:
     return float(np.sqrt(sums[:, 0].sum() / sums[:, 1].sum()))
 
 
-def _alarms(noise: list[Run]) -> int:
-    return sum(run.n_false > 0 for run in noise)
+def _distances(runs: Runs) -> list[NDArray]:
+    """Return the position errors of found targets, shape (K, T), of runs that found any."""
+    return [np.array(run['distances'], float) for run in runs if run['n_found']]
 
 
-def _draw(figure: Any, with_targets: list[Run], noise: list[Run]) -> None:
+def _alarms(noise: Runs) -> int:
+    return sum(run['n_false'] > 0 for run in noise)
+
+
+def _draw(figure: Any, with_targets: Runs, noise: Runs) -> None:
     """Draw the position errors, and the statistic of targets and noise."""
     errors, statistics = figure.subplots(1, 2)
     mean_errors = np.concatenate(
-        [np.nanmean(run.distances, axis=1) for run in with_targets if run.n_found] or [[]])
+        [np.nanmean(distances, axis=1) for distances in _distances(with_targets)] or [[]])
     errors.hist(mean_errors, np.linspace(0, FOUND_PX, 31), color=BLUE)
     errors.set_xlabel('mean position error of a found target [px]')
     errors.set_ylabel('targets')
-    n_targets = sum(run.n_targets for run in with_targets)
+    n_targets = sum(run['n_targets'] for run in with_targets)
     errors.set_title(f'{len(mean_errors)} of {n_targets} targets found')
 
-    of_targets = np.concatenate([run.statistics for run in with_targets])
-    of_noise = np.array([run.largest_statistic for run in noise])
+    of_targets = np.concatenate([run['statistics'] for run in with_targets])
+    of_noise = np.array([run['largest_statistic'] for run in noise])
     both = np.concatenate([of_targets, of_noise])
     bins = np.linspace(both.min(), both.max(), 41)
     statistics.hist(of_noise, bins, color=GREY, density=True, alpha=0.8,
@@ -130,7 +137,7 @@ def _draw(figure: Any, with_targets: list[Run], noise: list[Run]) -> None:
     if len(of_targets):
         statistics.hist(of_targets, bins, color=BLUE, density=True, alpha=0.8,
                         label='found targets')
-    threshold = noise[0].threshold
+    threshold = noise[0]['threshold']
     statistics.axvline(threshold, color='black', linewidth=1.2,
                        label=f'threshold {threshold:.2f}')
     statistics.set_xlabel('statistic of a trajectory')

@@ -9,14 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.engine.pictures import (
-    draw_band,
-    GREY,
-    key,
-    legend_above,
-    RED,
-    tidy,
-)
+from track_before_detect.evaluation.engine import pictures
 from track_before_detect.evaluation.engine.quantities import estimate, mean, Quantity, share
 from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.engine.seeds import items_of
@@ -37,7 +30,7 @@ P_FA = 0.1
 NOISE_PER_RUN = 10
 N_TARGETS = len(scenes.SIX_STATES)
 _KINDS = ('crosses 2', 'crosses 1', 'alone', 'beside 5', 'beside 4', 'alone')
-_COLOURS = {'mt_dp': GREY, 'pc_dp': RED}
+_COLOURS = {'mt_dp': pictures.GREY, 'pc_dp': pictures.RED}
 _STYLES = {'mt_dp': '--', 'pc_dp': '-'}
 
 
@@ -196,15 +189,15 @@ def _panels(figure: Any, label: str) -> NDArray:
     """Return one panel for each target, and explain the lines of both methods."""
     figure.set_size_inches(11, 6.5)
     panels = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
-    tidy(panels)
+    pictures.tidy(panels)
     for number, axes in enumerate(panels):
         axes.set_title(f'target {number + 1}, {_KINDS[number]}', fontsize='medium')
     for axes in panels[3:]:
         axes.set_xlabel('SNR [dB]')
     for axes in panels[::3]:
         axes.set_ylabel(label)
-    legend_above(figure, 2, [key(panels[0], name, _STYLES[name], color=_COLOURS[name])
-                             for name in METHODS])
+    pictures.legend_above(figure, 2, [
+        pictures.key(panels[0], name, _STYLES[name], color=_COLOURS[name]) for name in METHODS])
     return panels
 
 
@@ -216,7 +209,7 @@ def _draw(figure: Any, table: _Table) -> None:
         for number, name in enumerate(METHODS):
             counts = table.detected[:, :, number, target].sum(axis=1)
             ends = np.array([wilson_interval(int(count), runs) for count in counts])
-            draw_band(axes, SNRS_DB, 100 * counts / runs, 100 * ends.T, _COLOURS[name],
+            pictures.draw_band(axes, SNRS_DB, 100 * counts / runs, 100 * ends.T, _COLOURS[name],
                       _STYLES[name], 0.2)
     panels[0].set_ylim(0, 100)
 

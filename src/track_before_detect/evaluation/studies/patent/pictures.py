@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.engine.pictures import (
-    BLUE,
-    GREEN,
-    GREY,
-    legend_above,
-    RED,
-    tidy,
-)
+from track_before_detect.evaluation.engine import pictures
 from track_before_detect.evaluation.engine.quantities import Quantity
 from track_before_detect.evaluation.studies.patent.figures import (
     COMBINATORIAL,
@@ -27,7 +20,8 @@ from track_before_detect.evaluation.studies.patent.figures import (
 from track_before_detect.evaluation.studies.patent.scenes import Scene
 from track_before_detect.models.measurement.psf import GaussianPsf
 
-COLOURS = {CONVEX: GREY, CONTINUATION: BLUE, COMBINATORIAL: GREEN, GREEDY: RED}
+COLOURS = {CONVEX: pictures.GREY, CONTINUATION: pictures.BLUE,
+           COMBINATORIAL: pictures.GREEN, GREEDY: pictures.RED}
 _TRUTH_COLOUR, _SIGNAL_COLOUR = 'black', '#4d4d4d'
 # What is shown beside the targets of a batch.
 _MARGIN_PX = 20.0
@@ -64,8 +58,8 @@ def draw_shares(canvas: Any, shares: Mapping[str, Mapping[str, Quantity]]) -> No
     axes.set_ylim(len(shares) - 0.5, -0.5)
     axes.set_xlim(0, 100)
     axes.set_xlabel('share of scenes [%], with 95 % intervals')
-    tidy([axes], grid=False)
-    legend_above(canvas, len(methods))
+    pictures.tidy([axes], grid=False)
+    pictures.legend_above(canvas, len(methods))
 
 
 def _matched_filter(frames: NDArray, psf: GaussianPsf) -> NDArray[np.float64]:
@@ -104,7 +98,7 @@ def _draw_frame(panels: NDArray, scene: Scene, found: Found, threshold: float,
         axes.set_ylabel('amplitude')
         _leave_room(axes)
         axes.legend(loc='upper right', fontsize='small')
-    tidy(panels, grid=False)
+    pictures.tidy(panels, grid=False)
     for axes in panels[3:]:
         axes.set_xlabel('position [px]')
 

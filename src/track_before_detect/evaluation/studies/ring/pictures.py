@@ -11,18 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.engine.pictures import (
-    BLUE,
-    draw_band,
-    GREY,
-    key,
-    legend_above,
-    RED,
-    tidy,
-)
+from track_before_detect.evaluation.engine import pictures
 from track_before_detect.evaluation.studies.ring.shares import ByMethod, ORDERS
 
-_COLOURS = {'cfo': GREY, 'cso': BLUE, 'mff': RED}
+_COLOURS = {'cfo': pictures.GREY, 'cso': pictures.BLUE, 'mff': pictures.RED}
 _STYLES = ('-', '--', ':')
 _STATED_MARK = {'markersize': 8, 'markeredgewidth': 1.8, 'markerfacecolor': 'white'}
 _MULTI_TITLES = ('test case 1: two lines', 'test case 2: line and arc', 'test case 3: all three')
@@ -44,18 +36,18 @@ def draw_single(canvas: Any, means: ByMethod, half_widths: ByMethod, snrs: Seque
         ours = means[f'{order}_dp'][..., 0].max(axis=1)
         panels[0, ours.argmax()].plot(snrs[0], 100 * value, 'o', markeredgecolor=_COLOURS[order],
                                       clip_on=False, zorder=5, **_STATED_MARK)
-    legend_above(canvas, 7, [
+    pictures.legend_above(canvas, 7, [
         *_keys_of_orders(panels[0, 0]),
-        *(key(panels[0, 0], f'N = {lengths[number]}', style, color='black')
+        *(pictures.key(panels[0, 0], f'N = {lengths[number]}', style, color='black')
           for number, style in styles.items()),
-        key(panels[0, 0], 'paper, best', 'o', color='black', **_STATED_MARK)])
+        pictures.key(panels[0, 0], 'paper, best', 'o', color='black', **_STATED_MARK)])
 
 
 def draw_multi(canvas: Any, means: ByMethod, half_widths: ByMethod,
                snrs: Sequence[float]) -> None:
     """Draw Figure 9: DP, DPR and their difference, by case."""
     panels = _draw_probabilities(canvas, _MULTI_TITLES, means, half_widths, snrs, {0: '-'})
-    legend_above(canvas, 3, _keys_of_orders(panels[0, 0]))
+    pictures.legend_above(canvas, 3, _keys_of_orders(panels[0, 0]))
 
 
 def draw_false(canvas: Any, means: ByMethod, half_widths: ByMethod,
@@ -72,12 +64,13 @@ def draw_false(canvas: Any, means: ByMethod, half_widths: ByMethod,
                            1e6 * half_widths[method][case, 0], order, style)
         axes.set_title(title, fontsize='medium')
         axes.set_xlabel('SNR')
-    tidy(panels)
+    pictures.tidy(panels)
     # Not before all panels are drawn: they share the scale.
     panels[0].set_ylim(bottom=0)
     panels[0].set_ylabel('false alarm rate P_f [1e-6]')
-    legend_above(canvas, 5, [*_keys_of_orders(panels[0]), *(
-        key(panels[0], form.upper(), style, color='black') for form, style in styles.items())])
+    pictures.legend_above(canvas, 5, [*_keys_of_orders(panels[0]), *(
+        pictures.key(panels[0], form.upper(), style, color='black')
+        for form, style in styles.items())])
 
 
 def _draw_probabilities(canvas: Any, titles: Sequence[str], means: ByMethod,
@@ -96,7 +89,7 @@ def _draw_probabilities(canvas: Any, titles: Sequence[str], means: ByMethod,
     for axes in panels[2]:
         axes.set_xlabel('SNR')
         axes.axhline(0, color='black', linewidth=0.6)
-    tidy(panels.ravel())
+    pictures.tidy(panels.ravel())
     panels[0, 0].set_xlim(min(snrs), max(snrs))
     for case, column in enumerate(panels.T):
         for number, style in styles.items():
@@ -112,8 +105,8 @@ def _draw_probabilities(canvas: Any, titles: Sequence[str], means: ByMethod,
 def _draw_mean(axes: Any, snrs: Sequence[float], mean: NDArray, half_width: NDArray, order: str,
                style: str) -> None:
     ends = (np.maximum(mean - half_width, 0), mean + half_width)
-    draw_band(axes, snrs, mean, ends, _COLOURS[order], style, 0.15)
+    pictures.draw_band(axes, snrs, mean, ends, _COLOURS[order], style, 0.15)
 
 
 def _keys_of_orders(axes: Any) -> list[Any]:
-    return [key(axes, order.upper(), color=_COLOURS[order]) for order in ORDERS]
+    return [pictures.key(axes, order.upper(), color=_COLOURS[order]) for order in ORDERS]

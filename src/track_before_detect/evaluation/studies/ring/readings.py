@@ -14,16 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.benchmarks.numpy_merit import Padded
+from track_before_detect.evaluation.benchmarks.numpy_merit import first_order, Padded
 from track_before_detect.evaluation.engine.quantities import mean
 from track_before_detect.evaluation.engine.tables import markdown_table
 from track_before_detect.evaluation.metrics.paper_metrics import SAME_POINT_PX
-from track_before_detect.evaluation.studies.ring.scenes import (
-    point_frames,
-    RING_SIDE_PX,
-    ring_single,
-    SINGLE_V_MAX,
-)
+from track_before_detect.evaluation.studies.ring import scenes
 from track_before_detect.models.motion.transition_sets import directional_sets
 from track_before_detect.models.motion.velocity_candidates import matching_bits, whole_velocities
 
@@ -34,24 +29,6 @@ MEMORY = 0.9
 WIDER_PX = 3
 N_DIRECTIONS = 4
 PLAIN = 'as printed: E = I(t - 1, p - v)'
-
-
-def plain(frames: NDArray, v_max: int, velocities: NDArray | None = None,
-          memory: float = 1.0) -> NDArray[np.float32]:
-    """Accumulate over given velocities (all whole ones unless given), with a memory coefficient.
-
-    The coefficient of Succary et al. 2003 weighs what comes from the frame before.
-    """
-    merit = np.empty_like(frames)
-    merit[0] = frames[0]
-    before = Padded(frames.shape[1:], v_max, -np.inf)
-    for t in range(1, len(frames)):
-        before.fill(merit[t - 1])
-        best = np.full_like(frames[0], -np.inf)
-        for velocity in whole_velocities(v_max) if velocities is None else velocities:
-            np.maximum(best, before.moved(velocity), out=best)
-        merit[t] = frames[t] + np.float32(memory) * best
-    return merit
 
 
 def matched(frames: NDArray, v_max: int) -> NDArray[np.float32]:
@@ -87,8 +64,8 @@ def by_direction(frames: NDArray, v_max: int) -> NDArray[np.float32]:
     """Accumulate over each quadrant of the velocities apart; the largest counts."""
     parts = directional_sets([v_max], N_DIRECTIONS)
     # A predecessor is where the target was: the opposite of its velocity.
-    return np.max([plain(frames, v_max, -np.array(sorted(part.pixels(0)))) for part in parts],
-                  axis=0)
+    return np.max([first_order(frames, v_max, -np.array(sorted(part.pixels(0))))
+                   for part in parts], axis=0)
 
 
 def traced(merit: NDArray, v_max: int) -> NDArray[np.int64]:
@@ -105,18 +82,18 @@ def traced(merit: NDArray, v_max: int) -> NDArray[np.int64]:
 
 def measure(item: Mapping[str, Any]) -> dict[str, float]:
     """Return P_d by reading; the item holds ``case``, ``n_frames``, ``snr`` and ``seed``."""
-    truth = np.rint(ring_single(item['case'], item['n_frames']))
-    frames = point_frames(np.random.default_rng(item['seed']), truth[None], item['snr'],
-                          RING_SIDE_PX)
-    v_max = SINGLE_V_MAX[item['case']]
-    merit = plain(frames, v_max)
+    truth = np.rint(scenes.ring_single(item['case'], item['n_frames']))
+    frames = scenes.point_frames(np.random.default_rng(item['seed']), truth[None], item['snr'])
+    v_max = scenes.SINGLE_V_MAX[item['case']]
+    merit = first_order(frames, v_max)
     near = whole_velocities(v_max)
     near = near[(near**2).sum(axis=1) <= v_max**2]
     merits: dict[str, Callable[[], NDArray]] = {
         PLAIN: lambda: merit,
-        f'with a memory coefficient of {MEMORY:g}': lambda: plain(frames, v_max, memory=MEMORY),
+        f'with a memory coefficient of {MEMORY:g}':
+            lambda: first_order(frames, v_max, memory=MEMORY),
         'velocities of norm at most v_max, as Eq. 2 has it (5 of the 9 of Table 1)':
-            lambda: plain(frames, v_max, near),
+            lambda: first_order(frames, v_max, near),
         'velocities that match the last one within 1 px/frame': lambda: matched(frames, v_max),
         'each quadrant of velocities apart': lambda: by_direction(frames, v_max),
     }

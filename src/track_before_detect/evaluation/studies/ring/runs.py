@@ -8,14 +8,7 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.evaluation.metrics.paper_metrics import count_points
-from track_before_detect.evaluation.studies.ring.scenes import (
-    MULTI_V_MAX,
-    point_frames,
-    ring_multi,
-    RING_SIDE_PX,
-    ring_single,
-    SINGLE_V_MAX,
-)
+from track_before_detect.evaluation.studies.ring import scenes
 from track_before_detect.solvers.ring.dynamic_programming import several_targets, single_target
 from track_before_detect.solvers.ring.merit_functions import METHODS
 
@@ -31,12 +24,11 @@ def single(item: Item) -> dict[str, int]:
         ``case``, ``n_frames``, ``snr`` and ``seed``.
     """
     # The target is in the middle of the pixel it raises.
-    truth = np.rint(ring_single(item['case'], item['n_frames']))
-    frames = point_frames(np.random.default_rng(item['seed']), truth[None], item['snr'],
-                          RING_SIDE_PX)
-    return {method: count_points(
-        [single_target(frames, method, SINGLE_V_MAX[item['case']])], [truth],
-        frames.shape).detected for method in METHODS}
+    truth = np.rint(scenes.ring_single(item['case'], item['n_frames']))
+    frames = scenes.point_frames(np.random.default_rng(item['seed']), truth[None], item['snr'])
+    v_max = scenes.SINGLE_V_MAX[item['case']]
+    return {method: count_points([single_target(frames, method, v_max)], [truth])[0]
+            for method in METHODS}
 
 
 def multi(item: Item) -> dict[str, list[int]]:
@@ -47,11 +39,10 @@ def multi(item: Item) -> dict[str, list[int]]:
     item : mapping
         ``case``, ``snr``, ``n_frames`` and ``seed``.
     """
-    truth = np.rint(ring_multi(item['case'], item['n_frames']))
-    frames = point_frames(np.random.default_rng(item['seed']), truth, item['snr'], RING_SIDE_PX)
+    truth = np.rint(scenes.ring_multi(item['case'], item['n_frames']))
+    frames = scenes.point_frames(np.random.default_rng(item['seed']), truth, item['snr'])
     counts = {}
     for method in METHODS:
-        found = several_targets(frames, method, MULTI_V_MAX, len(truth))
-        points = count_points([one.positions for one in found], truth, frames.shape)
-        counts[method] = [points.detected, points.false]
+        found = several_targets(frames, method, scenes.MULTI_V_MAX, len(truth))
+        counts[method] = list(count_points([one.positions for one in found], truth))
     return counts

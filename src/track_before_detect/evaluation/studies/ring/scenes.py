@@ -16,8 +16,8 @@ from track_before_detect.simulation.motions import direction
 Pair = tuple[float, float]
 
 # Fu et al., Section 4: frames, and the speed limit of each case of Figure 5.
-RING_SIDE_PX = 128
-RING_FRAMES = 100
+SIDE_PX = 128
+N_FRAMES = 100
 SINGLE_V_MAX = {1: 2, 2: 1, 3: 1}
 MULTI_V_MAX = 1
 # Figure 7: which targets each case has. The text names all three; the times of Table 2, which grow
@@ -38,7 +38,7 @@ def ring_single(case: int, n_frames: int) -> NDArray[np.float64]:
     return _arc((64, 64), 10.0, 1.0, 0.0, n_frames)
 
 
-def ring_multi(case: int, n_frames: int = RING_FRAMES, first: int = 0) -> NDArray[np.float64]:
+def ring_multi(case: int, n_frames: int = N_FRAMES, first: int = 0) -> NDArray[np.float64]:
     """Return the targets of a case of Figure 7, shape (N, T, 2), from a frame on.
 
     The arc has 20 px *radius*. It meets line 1 in (67, 66), as the text says, here in the same
@@ -53,7 +53,7 @@ def ring_multi(case: int, n_frames: int = RING_FRAMES, first: int = 0) -> NDArra
 
 
 def point_frames(rng: np.random.Generator, targets: NDArray, snr: float,
-                 side: int) -> NDArray[np.float32]:
+                 side: int = SIDE_PX) -> NDArray[np.float32]:
     """Return frames with targets of one pixel in unit noise (Fu et al., Eq. 1).
 
     Parameters

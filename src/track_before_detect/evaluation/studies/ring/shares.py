@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from track_before_detect.evaluation.benchmarks.timing import timed
 from track_before_detect.evaluation.engine.quantities import estimate, Quantity
-from track_before_detect.evaluation.studies.ring.scenes import RING_SIDE_PX
+from track_before_detect.evaluation.studies.ring.scenes import SIDE_PX
 from track_before_detect.solvers.ring.merit_functions import METHODS
 
 ORDERS = ('cfo', 'cso', 'mff')
 FORMS = ('dp', 'dpr')
 # Frames that times are measured on, and how often; the least counts.
 TIMED_FRAMES, _TIMED = 20, 3
-COMMON = (f'Frames of {RING_SIDE_PX} x {RING_SIDE_PX} pixels, white noise of one pixel, targets '
+COMMON = (f'Frames of {SIDE_PX} x {SIDE_PX} pixels, white noise of one pixel, targets '
           'of one pixel; SNR is the amplitude over the noise of a pixel. ')
 
 ByMethod = Mapping[str, NDArray[np.float64]]
