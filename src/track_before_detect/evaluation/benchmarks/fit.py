@@ -2,7 +2,7 @@
 
 Frames of one row with four targets of either sign, and all paths of constant velocity up to one
 pixel a frame in steps of 0.05 whose PSF stays inside. To a duality gap of 1e-6 of the objective,
-pricing of all paths included. ``test/solvers/test_fit_paths.py`` compares with skglm.
+pricing of all paths included. ``test/solvers/given_paths`` compares with skglm.
 """
 
 from __future__ import annotations
