@@ -37,16 +37,22 @@ def best_path_value(graph, scores):
 
 
 def gaussian_stamp(shape, position, sigma, half, valid=None):
-    """Return a frame with the unit-norm Gaussian at position (x, y), cut to its stamp."""
+    """Return a frame with the unit-norm Gaussian at position (x, y), cut to its stamp.
+
+    All zero where no more than 1e-3 of its energy is left.
+    """
     image = np.zeros(shape)
+    whole = 0.0
     centre = np.ceil(np.asarray(position) - 0.5).astype(int)
-    for y in range(max(0, centre[1] - half), min(shape[0], centre[1] + half + 1)):
-        for x in range(max(0, centre[0] - half), min(shape[1], centre[0] + half + 1)):
-            if valid is None or valid[y, x]:
-                squared = (x - position[0])**2 + (y - position[1])**2
-                image[y, x] = np.exp(-squared / (2 * sigma**2))
-    norm = np.linalg.norm(image)
-    return image / norm if norm > 1e-3 else 0 * image
+    for y in range(centre[1] - half, centre[1] + half + 1):
+        for x in range(centre[0] - half, centre[0] + half + 1):
+            squared = (x - position[0])**2 + (y - position[1])**2
+            value = np.exp(-squared / (2 * sigma**2))
+            whole += value**2
+            if 0 <= y < shape[0] and 0 <= x < shape[1] and (valid is None or valid[y, x]):
+                image[y, x] = value
+    left = np.sum(image**2)
+    return image / np.sqrt(left) if left > 1e-3 * whole else 0 * image
 
 
 MARGIN = 25
@@ -281,7 +287,7 @@ def merit_of_pixel(psi, phi, squared, signed):
     return (max(h, 0) if not signed else h)**2 if squared else h
 
 
-def cancelled_targets(psi, phi, weights, stamp, cores, squared, signed, sets, bound):
+def cancelled_targets(psi, phi, weights, stamp, exclusion, squared, signed, sets, bound):
     """Return (path, statistics, merit) of target after target, all computed again each time."""
     psi, phi = np.array(psi, float), np.array(phi, float)
     n_frames, height, width = phi.shape
@@ -321,7 +327,7 @@ def cancelled_targets(psi, phi, weights, stamp, cores, squared, signed, sets, bo
             share = phi[t].copy()
             for v in range(max(0, y - 2 * half), min(height, y + 2 * half + 1)):
                 for u in range(max(0, x - 2 * half), min(width, x + 2 * half + 1)):
-                    if np.linalg.norm(seen[:, t]) > cores[v - y + 2 * half, u - x + 2 * half]:
+                    if np.linalg.norm(seen[:, t]) > exclusion[v - y + 2 * half, u - x + 2 * half]:
                         share[v, u] = 0
             phi[t] = share
         found.append((np.array(path), seen, value))

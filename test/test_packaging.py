@@ -23,7 +23,7 @@ MODULES = sorted(SOURCE.rglob('*.py'))
 BASICS = {'errors', 'array_option', 'atomic_files', 'capabilities', 'checks', 'types', 'options',
           'geometry', 'parallel'}
 ALLOWED = {
-    '__init__': BASICS | {'detection', 'solvers'},
+    '__init__': BASICS | {'detection', 'models', 'solvers'},
     'errors': set(),
     'geometry': set(),
     'types': set(),

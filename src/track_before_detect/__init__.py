@@ -1,5 +1,6 @@
 """Find dim moving targets in sequences of frames where no single frame shows them."""
 
+from importlib import import_module
 from typing import Any, TYPE_CHECKING
 
 from track_before_detect.errors import (
@@ -13,15 +14,18 @@ from track_before_detect.types import DetectionResult, Step, Trajectory
 
 if TYPE_CHECKING:
     from track_before_detect.detection import detect, detect_sensors, Sensor
+    from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
     from track_before_detect.solvers.given_paths.fit_paths import fit_paths, FittedPaths
 
 __version__ = '0.1.0'
 
 __all__ = [
+    'ArrayPsf',
     'DataError',
     'DetectionResult',
     'DetectorOptions',
     'FittedPaths',
+    'GaussianPsf',
     'MissingExtraError',
     'ParameterError',
     'Sensor',
@@ -33,13 +37,19 @@ __all__ = [
     'fit_paths',
 ]
 
+# Imported when they are first asked for: loading the compiler takes a second.
+_HOMES = {
+    'ArrayPsf': 'models.measurement.psf',
+    'FittedPaths': 'solvers.given_paths.fit_paths',
+    'GaussianPsf': 'models.measurement.psf',
+    'Sensor': 'detection',
+    'detect': 'detection',
+    'detect_sensors': 'detection',
+    'fit_paths': 'solvers.given_paths.fit_paths',
+}
+
 
 def __getattr__(name: str) -> Any:
-    """Import the solvers when they are first asked for: loading the compiler takes a second."""
-    if name in ('detect', 'detect_sensors', 'Sensor'):
-        from track_before_detect import detection
-        return getattr(detection, name)
-    if name in ('fit_paths', 'FittedPaths'):
-        from track_before_detect.solvers.given_paths import fit_paths
-        return getattr(fit_paths, name)
+    if name in _HOMES:
+        return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)
     raise AttributeError(f'module {__name__!r} has no attribute {name!r}')

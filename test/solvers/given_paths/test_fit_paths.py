@@ -1,4 +1,3 @@
-import itertools
 import math
 import time
 
@@ -6,13 +5,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from scipy import sparse
+from scipy import optimize, sparse
 
 import naive
 import track_before_detect as tbd
-from track_before_detect.models.measurement.psf import GaussianPsf
+from track_before_detect.kernels.psf.psf_stamps import render
 
-PSF = GaussianPsf(1.0)
+PSF = tbd.GaussianPsf(1.0)
 
 
 def crowded_scene(seed, amplitudes='signed', n_frames=5, shape=(9, 24), n_paths=40):
@@ -200,6 +199,15 @@ def test_at_t_zero_the_fit_is_least_squares(amplitudes):
     assert fit.violation == pytest.approx(0, abs=1e-9)
 
 
+def test_least_squares_agree_with_scipy():
+    frames, paths = crowded_scene(18, 'non-negative', n_paths=3)
+    fit = tbd.fit_paths(frames, paths, psf=PSF, lam=3.0, t=0.0)
+    stamps = design(paths, frames.shape[1:])
+    for k, frame in enumerate(frames):
+        expected, _ = optimize.nnls(stamps[:, k].reshape(len(paths), -1).T, frame.ravel())
+        np.testing.assert_allclose(fit.amplitudes[:, k], expected, atol=1e-8)
+
+
 @pytest.mark.parametrize('amplitudes', ['non-negative', 'signed'])
 def test_small_t_approaches_least_squares(amplitudes):
     frames, paths = crowded_scene(10, amplitudes, n_paths=6)
@@ -212,27 +220,57 @@ def test_small_t_approaches_least_squares(amplitudes):
     assert convex[0] == pytest.approx(convex[1], rel=1e-3)
 
 
-def test_an_array_is_exact_at_whole_pixels_and_interpolated_between():
-    rng = np.random.default_rng(0)
-    psf = rng.uniform(0.1, 1, (3, 5))
-    frames = 5 * rng.standard_normal((1, 8, 12))
+def detector_column(psf, shape, position, valid=None):
+    """Return the unit-norm stamp (H, W) as the detectors render it, all zero where hidden."""
+    size = 2 * psf.half_width + 1
+    stamps, origins, norms = np.empty((1, size, size)), np.empty((1, 2), np.int64), np.empty(1)
+    weights = np.zeros((0, 0, 0), np.float32) if valid is None else valid[None].astype(np.float32)
+    render(psf.optics(), np.array([position], float), *shape, weights, stamps, origins, norms)
+    image = np.zeros((shape[0] + 2 * size, shape[1] + 2 * size))
+    x, y = origins[0] + size
+    image[y:y + size, x:x + size] = stamps[0]
+    return image[size:-size, size:-size]
 
-    def picture(x, y):
-        image = np.zeros((8 + 6, 12 + 10))
-        x_0, y_0 = math.floor(x), math.floor(y)
-        for move_y, move_x in itertools.product((0, 1), repeat=2):
-            share = ((x - x_0 if move_x else 1 - (x - x_0))
-                     * (y - y_0 if move_y else 1 - (y - y_0)))
-            top, left = y_0 + move_y + 3 - 1, x_0 + move_x + 5 - 2
-            image[top:top + 3, left:left + 5] += share * psf
-        image = image[3:-3, 5:-5]
-        return image / np.linalg.norm(image)
 
-    for x, y in [(5, 4), (5.25, 4), (5.5, 3.75), (0, 0), (11, 7), (11.4, -0.3), (0.5, 6.9)]:
-        fit = tbd.fit_paths(frames, np.full((1, 1, 2), (x, y)), psf=7 * psf, lam=1e-3,
+def fitted_column(psf, shape, position):
+    """Return the column of a path of one frame: its least-squares amplitude of each pixel."""
+    pixels = np.eye(shape[0] * shape[1]).reshape(-1, 1, *shape)
+    return np.reshape([tbd.fit_paths(pixel, np.reshape(position, (1, 1, 2)), psf=psf, lam=1.0,
+                                     t=0.0, amplitudes='signed').amplitudes for pixel in pixels],
+                      shape)
+
+
+@pytest.mark.parametrize('shape', [(8, 12), (1, 12), (8, 3)])
+@pytest.mark.parametrize('position', [(0.3, 0.45), (2.0, 0.0), (-0.4, -0.2), (1.5, 0.25)])
+def test_the_column_of_an_array_is_what_the_detectors_render(shape, position):
+    array = np.random.default_rng(0).uniform(0.1, 1, (3, 5))
+    expected = detector_column(tbd.ArrayPsf(array), shape, position)
+    for psf in (7 * array, tbd.ArrayPsf(array)):
+        np.testing.assert_allclose(fitted_column(psf, shape, position), expected, atol=1e-12)
+
+
+def test_an_array_is_exact_at_whole_pixels():
+    array = np.random.default_rng(0).uniform(0.1, 1, (3, 5))
+    column = fitted_column(array, (8, 12), (6, 4))
+    np.testing.assert_allclose(column[3:6, 4:9], array / np.linalg.norm(array), atol=1e-7)
+    assert np.count_nonzero(np.abs(column) > 1e-7) == array.size
+
+
+@pytest.mark.parametrize('psf', [tbd.GaussianPsf(1.0), tbd.GaussianPsf(0.8, True),
+                                 tbd.ArrayPsf(np.outer(*2 * [tbd.GaussianPsf(1.0).taps(0.0)]))])
+def test_a_target_is_hidden_where_it_is_for_the_detectors(psf):
+    # Of all pixels one is left, further and further from the target.
+    valid = np.zeros((9, 24), bool)
+    valid[4, 12] = True
+    frames = np.where(valid, 5.0, np.nan)[None]
+    hidden = []
+    for x in np.arange(8.0, 13.0, 0.03):
+        fit = tbd.fit_paths(frames, np.full((1, 1, 2), (x, 4.2)), psf=psf, lam=1.0, t=0.0,
                             amplitudes='signed')
-        seen = np.sum(picture(x, y) * frames[0])
-        assert fit.amplitudes[0, 0] == pytest.approx(np.sign(seen) * (abs(seen) - 1e-3), abs=1e-6)
+        column = detector_column(psf, valid.shape, (x, 4.2), valid)
+        assert abs(fit.amplitudes[0, 0]) == pytest.approx(5 * column.any(), abs=1e-6)
+        hidden.append(not column.any())
+    assert 20 < sum(hidden) < 120
 
 
 def test_a_sampled_gaussian_is_the_model_at_whole_pixels():
@@ -242,6 +280,11 @@ def test_a_sampled_gaussian_is_the_model_at_whole_pixels():
     objectives = [tbd.fit_paths(frames, paths, psf=psf, lam=4.0, amplitudes='signed').objective
                   for psf in (PSF, np.outer(taps, taps))]
     assert objectives[0] == pytest.approx(objectives[1], rel=1e-8)
+
+
+def test_the_models_fit_paths_takes_are_public_names():
+    assert {'GaussianPsf', 'ArrayPsf'} <= set(tbd.__all__)
+    assert tbd.GaussianPsf(1.0).half_width == 4
 
 
 def test_no_paths_leave_the_energy():
@@ -348,7 +391,7 @@ def test_a_lone_path_solves_the_line_search_of_its_weights():
     ({'psf': np.ones(3)}, 'psf must be a 2-D array with odd sides'),
     ({'psf': np.zeros((3, 3))}, 'psf must be finite and not all zero'),
     ({'psf': np.full((3, 3), np.nan)}, 'psf must be finite'),
-    ({'psf': 'gaussian'}, 'psf must be a GaussianPsf or an array'),
+    ({'psf': 'gaussian'}, 'psf must be an array of real .*a track_before_detect.GaussianPsf'),
     ({'method': 'simplex'}, 'method must be one of newton, descent, admm'),
     ({'weights': np.ones(4)}, r'weights must be numbers of shape \(5,\) or \(3, 5\)'),
     ({'weights': np.zeros(5)}, 'weights must be finite and above 0, got 0'),
@@ -369,7 +412,7 @@ def test_bad_input_is_refused_in_one_sentence(change, message):
 
 @pytest.mark.parametrize('integrated', [False, True])
 def test_model_of_the_psf_leaves_nothing_of_its_own_picture(integrated):
-    psf = GaussianPsf(0.6, integrated)
+    psf = tbd.GaussianPsf(0.6, integrated)
     position = np.array([7.3, 4.8])
     picture = naive.cut(naive.psf_picture(psf, position), (9, 24))
     picture *= 10 / np.linalg.norm(picture)

@@ -27,7 +27,7 @@ from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.transition_sets import directional_sets, TransitionSets
 from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
-from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
+from track_before_detect.solvers.pixel_statistics import exclusion_levels, measure, Merit
 
 SNR_DB = 8.0
 P_FA = 0.1
@@ -88,7 +88,7 @@ Sets = Mapping[str, Sequence[TransitionSets]]
 
 
 def _search(frames: NDArray) -> TargetSearch:
-    return TargetSearch(measure(frames, POINT), cores(POINT), MERIT)
+    return TargetSearch(measure(frames, POINT), exclusion_levels(POINT), MERIT)
 
 
 def _outcome(search: TargetSearch, scene: ParallelScene, parts: Sequence[TransitionSets],

@@ -1,17 +1,18 @@
-"""Positions that many given paths share: their stamps, what they see, which paths pass them.
+"""The columns that many given paths share: their stamps, what they see, which paths use them.
 
 Layout of every array
 ---------------------
-A *place* is a position (x, y) that some path passes; it has one stamp. A *cell* is a place in one
-frame: the unit of pricing, shared by all paths that are there in that frame.
+A *place* is a position (x, y) that some path passes; it has one stamp. A *column*, of the matrix A
+of the objective, is a place in one frame, shared by all paths that are there in that frame.
 
 keys : int64 (C, 2), x and y of each place in units of 2^-40 px
 stamps : float64 (C, K_y, K_x), unit norm or zero; origins : int32 (C, 2), pixel (x, y) of their
     first entry, such that the whole stamp lies inside the frame
-cell_place, cell_frame : int32 (N,), ordered by frame
-cells : int32 (P, T), the cell of each path in each frame
+shares : float64 (C,), energy of each stamp before it was scaled, over that of the whole stamp
+column_place, column_frame : int32 (N,), ordered by frame
+columns : int32 (P, T), the column of each path in each frame
 residual : float64 (D, T, H, W), D = 2 for the real and the imaginary part, otherwise 1
-seen : float64 (D, N), inner product of the stamp of each cell with its frame
+correlations : float64 (D, N), inner product of each column with its frame of the residual
 """
 
 import math
@@ -20,10 +21,9 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.compile_flags import EXACT, REORDERED
+from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
 
 PLACES_PER_PX = 2.0**40
-# Share of the energy of a stamp below which it counts as none, as in the kernels of the stamps.
-LEAST_ENERGY = 1e-6
 
 
 @numba.njit(**EXACT)
@@ -83,53 +83,42 @@ def number_places(paths, bits):
 
 
 @numba.njit(**EXACT)
-def number_cells(places, n_places):
-    """Give each distinct (place, frame) a number; return cells, cell_place, cell_frame."""
+def number_columns(places, n_places):
+    """Give each distinct (place, frame) a number; return columns, column_place, column_frame."""
     n_paths, n_frames = places.shape
-    cells = np.empty((n_paths, n_frames), np.int32)
-    cell_place = np.empty(n_paths * n_frames, np.int32)
-    cell_frame = np.empty(n_paths * n_frames, np.int32)
+    columns = np.empty((n_paths, n_frames), np.int32)
+    column_place = np.empty(n_paths * n_frames, np.int32)
+    column_frame = np.empty(n_paths * n_frames, np.int32)
     latest = np.full(n_places, -1, np.int32)
-    n_cells = 0
+    n_columns = 0
     for k in range(n_frames):
-        first = n_cells
+        first = n_columns
         for p in range(n_paths):
             place = places[p, k]
             if latest[place] < first:
-                latest[place] = n_cells
-                cell_place[n_cells] = place
-                cell_frame[n_cells] = k
-                n_cells += 1
-            cells[p, k] = latest[place]
-    return cells, cell_place[:n_cells].copy(), cell_frame[:n_cells].copy()
+                latest[place] = n_columns
+                column_place[n_columns] = place
+                column_frame[n_columns] = k
+                n_columns += 1
+            columns[p, k] = latest[place]
+    return columns, column_place[:n_columns].copy(), column_frame[:n_columns].copy()
 
 
 @numba.njit(**EXACT)
-def first_pixels(cell_place, cell_frame, origins, height, width):
-    """Return the flat index of the first pixel of the stamp of each cell, int64 (N,)."""
-    starts = np.empty(cell_place.size, np.int64)
-    for c in range(cell_place.size):
-        place = cell_place[c]
+def first_pixels(column_place, column_frame, origins, height, width):
+    """Return the flat index of the first pixel of the stamp of each column, int64 (N,)."""
+    starts = np.empty(column_place.size, np.int64)
+    for c in range(column_place.size):
+        place = column_place[c]
         # In 64 bits, for batches of more than 2^31 pixels.
-        row = np.int64(cell_frame[c]) * height + origins[place, 1]
+        row = np.int64(column_frame[c]) * height + origins[place, 1]
         starts[c] = row * width + origins[place, 0]
     return starts
 
 
 @numba.njit(**EXACT)
-def _normalise(stamp):
-    total = 0.0
-    for value in stamp.flat:
-        total += value * value
-    factor = 1.0 / math.sqrt(total) if total > LEAST_ENERGY else 0.0
-    for i in range(stamp.shape[0]):
-        for k in range(stamp.shape[1]):
-            stamp[i, k] *= factor
-
-
-@numba.njit(**EXACT)
 def render_gaussians(keys, sigma, integrated, half, height, width):
-    """Return stamps and origins of a Gaussian, cut at the border, then of unit norm.
+    """Return stamps, origins and shares of a Gaussian, cut at the border, then of unit norm.
 
     A pixel sees it at its centre or, ``integrated``, over its area.
     """
@@ -138,89 +127,89 @@ def render_gaussians(keys, sigma, integrated, half, height, width):
     size_x = min(2 * half + 1, width)
     stamps = np.empty((n_places, size_y, size_x))
     origins = np.empty((n_places, 2), np.int32)
+    shares = np.empty(n_places)
     profile_x = np.empty(size_x)
     profile_y = np.empty(size_y)
+    origin_y, share_y = 0, 0.0
     for c in range(n_places):
-        origins[c, 0] = _profile(
+        origins[c, 0], share_x = _profile(
             keys[c, 0] / PLACES_PER_PX, sigma, integrated, half, width, profile_x)
-        origins[c, 1] = _profile(
-            keys[c, 1] / PLACES_PER_PX, sigma, integrated, half, height, profile_y)
+        # Along a row, as in all frames of one row, it stays the same.
+        if c == 0 or keys[c, 1] != keys[c - 1, 1]:
+            origin_y, share_y = _profile(
+                keys[c, 1] / PLACES_PER_PX, sigma, integrated, half, height, profile_y)
+        origins[c, 1] = origin_y
+        shares[c] = share_x * share_y
+        factor = 1.0 if shares[c] > LEAST_SHARE else 0.0
         for i in range(size_y):
             for k in range(size_x):
-                stamps[c, i, k] = profile_y[i] * profile_x[k]
-        _normalise(stamps[c])
-    return stamps, origins
+                stamps[c, i, k] = factor * profile_y[i] * profile_x[k]
+    return stamps, origins, shares
 
 
 @numba.njit(**EXACT)
 def _profile(position, sigma, integrated, half, extent, profile):
-    """Fill one axis of a Gaussian stamp and return its first pixel."""
+    """Fill one axis of a Gaussian stamp, of unit norm; return its first pixel and its share."""
     scale = -0.5 / (sigma * sigma)
     unit = 1 / (math.sqrt(2.0) * sigma)
     centre = int(math.ceil(position - 0.5))
     origin = min(max(centre - half, 0), extent - profile.size)
-    for k in range(profile.size):
-        pixel = origin + k
-        profile[k] = 0.0
-        if abs(pixel - centre) <= half:
-            if integrated:
-                profile[k] = (math.erf(unit * (pixel + 0.5 - position))
-                              - math.erf(unit * (pixel - 0.5 - position)))
-            else:
-                profile[k] = math.exp(scale * (pixel - position)**2)
-    return origin
+    profile[:] = 0.0
+    inside = 0.0
+    whole = 0.0
+    for pixel in range(centre - half, centre + half + 1):
+        if integrated:
+            value = (math.erf(unit * (pixel + 0.5 - position))
+                     - math.erf(unit * (pixel - 0.5 - position)))
+        else:
+            value = math.exp(scale * (pixel - position)**2)
+        whole += value * value
+        if 0 <= pixel < extent:
+            profile[pixel - origin] = value
+            inside += value * value
+    profile /= math.sqrt(inside)
+    return origin, inside / whole
 
 
 @numba.njit(**EXACT)
-def render_array(keys, psf, height, width):
-    """Return stamps and origins of an array of unit norm, moved by bilinear interpolation."""
-    n_places = keys.shape[0]
-    size_y = min(psf.shape[0] + 1, height)
-    size_x = min(psf.shape[1] + 1, width)
-    stamps = np.zeros((n_places, size_y, size_x))
-    origins = np.empty((n_places, 2), np.int32)
+def move_inside(stamps, origins, height, width):
+    """Return stamps and origins as above from those of ``psf_stamps.render``, zero outside."""
+    n_places, size, _ = stamps.shape
+    size_y = min(size, height)
+    size_x = min(size, width)
+    moved = np.zeros((n_places, size_y, size_x))
+    moved_origins = np.empty((n_places, 2), np.int32)
     for c in range(n_places):
-        x = keys[c, 0] / PLACES_PER_PX
-        y = keys[c, 1] / PLACES_PER_PX
-        first_x = int(math.floor(x)) - psf.shape[1] // 2
-        first_y = int(math.floor(y)) - psf.shape[0] // 2
-        origins[c, 0] = min(max(first_x, 0), width - size_x)
-        origins[c, 1] = min(max(first_y, 0), height - size_y)
-        for corner in range(4):
-            move_x = corner % 2
-            move_y = corner // 2
-            share_x = x - math.floor(x)
-            share_y = y - math.floor(y)
-            share = (share_x if move_x else 1 - share_x) * (share_y if move_y else 1 - share_y)
-            if share == 0.0:
-                continue
-            for i in range(psf.shape[0]):
-                row = first_y + move_y + i - origins[c, 1]
-                if not 0 <= row < size_y:
-                    continue
-                for k in range(psf.shape[1]):
-                    column = first_x + move_x + k - origins[c, 0]
-                    if 0 <= column < size_x:
-                        stamps[c, row, column] += share * psf[i, k]
-        _normalise(stamps[c])
-    return stamps, origins
+        x = min(max(origins[c, 0], 0), width - size_x)
+        y = min(max(origins[c, 1], 0), height - size_y)
+        moved_origins[c, 0], moved_origins[c, 1] = x, y
+        for i in range(max(y, origins[c, 1]), min(y + size_y, origins[c, 1] + size)):
+            for k in range(max(x, origins[c, 0]), min(x + size_x, origins[c, 0] + size)):
+                moved[c, i - y, k - x] = stamps[c, i - origins[c, 1], k - origins[c, 0]]
+    return moved, moved_origins
 
 
 @numba.njit(**EXACT)
-def mask_stamps(stamps, origins, cell_place, cell_frame, valid):
-    """Return stamps and origins of each cell: cut to the valid pixels, then of unit norm."""
-    n_cells = cell_place.size
+def mask_stamps(stamps, origins, shares, column_place, column_frame, valid):
+    """Return stamps and origins of each column: cut to the valid pixels, then of unit norm."""
+    n_columns = column_place.size
     size_y, size_x = stamps.shape[1:]
-    cut = np.zeros((n_cells, size_y, size_x))
-    cut_origins = np.empty((n_cells, 2), np.int32)
-    for c in range(n_cells):
-        place = cell_place[c]
+    cut = np.zeros((n_columns, size_y, size_x))
+    cut_origins = np.empty((n_columns, 2), np.int32)
+    for c in range(n_columns):
+        place = column_place[c]
         cut_origins[c] = origins[place]
+        total = 0.0
         for i in range(size_y):
             for k in range(size_x):
-                if valid[cell_frame[c], origins[place, 1] + i, origins[place, 0] + k]:
+                if valid[column_frame[c], origins[place, 1] + i, origins[place, 0] + k]:
                     cut[c, i, k] = stamps[place, i, k]
-        _normalise(cut[c])
+                    total += stamps[place, i, k]**2
+        left = shares[place] * total > LEAST_SHARE
+        factor = 1.0 / math.sqrt(total) if left else 0.0
+        for i in range(size_y):
+            for k in range(size_x):
+                cut[c, i, k] *= factor
     return cut, cut_origins
 
 
@@ -237,80 +226,65 @@ def _product(a, start_a, b, start_b, n):
 
 
 @numba.njit(**EXACT)
-def correlate_cells(chosen, stamps, starts, cell_place, residual, seen):
-    """Fill ``seen`` for the chosen cells; ``starts`` is the flat first pixel of each cell."""
+def correlate(chosen, stamps, starts, column_place, residual, correlations):
+    """Fill the correlations of the chosen columns; ``starts`` is the first pixel of each, flat."""
     n_parts, _, _, width = residual.shape
     size_y, size_x = stamps.shape[1:]
     profiles = stamps.ravel()
     for d in range(n_parts):
         pixels = residual[d].ravel()
         for c in chosen:
-            first = cell_place[c] * size_y * size_x
+            first = column_place[c] * size_y * size_x
             total = 0.0
             for i in range(size_y):
                 total += _product(profiles, first + i * size_x, pixels, starts[c] + i * width,
                                   size_x)
-            seen[d, c] = total
+            correlations[d, c] = total
 
 
 @numba.njit(**REORDERED)
-def price(chosen, cells, seen, non_negative, statistics):
-    """Fill the statistic of the chosen paths and return the largest of all."""
-    largest = 0.0
-    n_frames = cells.shape[1]
-    for p in chosen:
-        total = 0.0
-        for d in range(seen.shape[0]):
-            if non_negative:
-                for k in range(n_frames):
-                    value = max(seen[d, cells[p, k]], 0.0)
-                    total += value * value
-            else:
-                for k in range(n_frames):
-                    value = seen[d, cells[p, k]]
-                    total += value * value
-        statistics[p] = math.sqrt(total)
-        largest = max(largest, statistics[p])
-    return largest
+def path_statistics(chosen, columns, correlations, weights, non_negative, statistics):
+    """Fill the statistic of the chosen paths and return the largest of all.
 
-
-@numba.njit(**REORDERED)
-def price_weighted(chosen, cells, seen, weights, non_negative, statistics):
-    """Do what ``price`` does with ``seen`` over the weight (P, T) of each path in each frame."""
+    ``weights``, shape (P, T), divide the correlations of each path; None where all are one.
+    """
     largest = 0.0
     for p in chosen:
         total = 0.0
-        for d in range(seen.shape[0]):
-            for k in range(cells.shape[1]):
-                value = seen[d, cells[p, k]] / weights[p, k]
-                if value > 0.0 or not non_negative:
-                    total += value * value
+        for d in range(correlations.shape[0]):
+            for k in range(columns.shape[1]):
+                value = correlations[d, columns[p, k]]
+                if weights is not None:
+                    value /= weights[p, k]
+                if non_negative:
+                    value = max(value, 0.0)
+                total += value * value
         statistics[p] = math.sqrt(total)
         largest = max(largest, statistics[p])
     return largest
 
 
 @numba.njit(**EXACT)
-def cells_of(chosen, cells, n_cells):
-    """Return the cells that the chosen paths use, in order."""
-    used = np.zeros(n_cells, np.bool_)
+def columns_of(chosen, columns, n_columns):
+    """Return the columns that the chosen paths use, in order."""
+    used = np.zeros(n_columns, np.bool_)
     for p in chosen:
-        for k in range(cells.shape[1]):
-            used[cells[p, k]] = True
+        for k in range(columns.shape[1]):
+            used[columns[p, k]] = True
     return np.flatnonzero(used)
 
 
 @numba.njit(**EXACT)
-def subtract(members, amplitudes, cells, stamps, origins, cell_place, residual):
+def subtract(members, amplitudes, columns, stamps, origins, column_place, residual):
     """Take amplitudes times stamps of some paths off the residual."""
     size_y, size_x = stamps.shape[1:]
     for row in range(members.size):
         for d in range(residual.shape[0]):
-            for k in range(cells.shape[1]):
+            for k in range(columns.shape[1]):
                 amplitude = amplitudes[row, d, k]
                 if amplitude == 0.0:
                     continue
-                place = cell_place[cells[members[row], k]]
+                place = column_place[columns[members[row], k]]
                 x = origins[place, 0]
                 y = origins[place, 1]
                 for i in range(size_y):
@@ -335,7 +309,7 @@ def _overlap(place, other, profiles, size_y, size_x, origins):
 
 
 @numba.njit(**EXACT)
-def relate(places, n_old, stamps, origins, gram):
+def fill_gram(places, n_old, stamps, origins, gram):
     """Fill the rows and columns of ``gram`` that belong to members ``n_old`` and later.
 
     ``places``, shape (n, T), are those of the members.
@@ -351,7 +325,7 @@ def relate(places, n_old, stamps, origins, gram):
 
 
 @numba.njit(**EXACT)
-def pick(places, most, alike, stamps, origins):
+def pick_distinct(places, most, alike, stamps, origins):
     """Return the rows of at most ``most`` of the paths that are not ``alike`` to one before.
 
     ``places``, shape (n, T), are in the order of preference; likeness is the mean overlap in up

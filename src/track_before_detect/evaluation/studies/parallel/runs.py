@@ -21,7 +21,7 @@ from track_before_detect.solvers.cancellation.target_cancellation import (
     TargetSearch,
     Track,
 )
-from track_before_detect.solvers.pixel_statistics import cores, measure
+from track_before_detect.solvers.pixel_statistics import exclusion_levels, measure
 
 METHODS: dict[str, type[MtDpDetector]] = {'mt_dp': MtDpDetector, 'pc_dp': PcDpDetector}
 
@@ -81,7 +81,7 @@ def _search(name: str, frames: NDArray, threshold: float,
             ) -> tuple[Sequence[Track], Sequence[Search]]:
     """Return the tracks of a method and its searches, one for each direction."""
     detector = _detector(name)
-    search = TargetSearch(measure(frames, detector.psf), cores(detector.psf), detector.merit)
+    search = TargetSearch(measure(frames, detector.psf), exclusion_levels(detector.psf), detector.merit)
     bound = detector.merit.bound(threshold, len(frames))
     # On one thread: other runs have the other cores.
     searches = search.run_parallel(
