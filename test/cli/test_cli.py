@@ -14,7 +14,7 @@ import pytest
 
 from track_before_detect.cli import commands as cli
 from track_before_detect.options import describe
-from track_before_detect.recordings.readers import open_recording
+from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.simulation.scenarios import SCENARIOS
 from track_before_detect.types import DetectionResult, Trajectory
 

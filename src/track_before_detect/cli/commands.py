@@ -24,14 +24,11 @@ import numpy as np
 from track_before_detect import __version__
 from track_before_detect.errors import DataError, MissingExtraError, ParameterError, TbdError
 from track_before_detect.options import describe, DetectorOptions, DETECTORS, parse_option
+from track_before_detect.recordings.npz import write_npz_recording
+from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.recordings.overlay import write_overlay
-from track_before_detect.recordings.readers import open_recording
 from track_before_detect.recordings.recording import Recording
-from track_before_detect.recordings.writers import (
-    write_npz_recording,
-    write_summary_json,
-    write_trajectories_csv,
-)
+from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
 from track_before_detect.simulation.scenarios import Scenario, SCENARIOS, simulate
 from track_before_detect.types import DetectionResult, Trajectory
 

@@ -48,11 +48,14 @@ class Recording:
         Rows [frame, id, x, y].
     frame_id : str
         Coordinate frame of the sensor.
+    cache_bytes : int
+        Memory for frames that were read; two are kept at least.
     """
 
     def __init__(self, name: str, shape: tuple[int, int], dtype: np.dtype, n_frames: int,
                  source: FrameSource, stamps: ArrayLike | None = None,
-                 truth: ArrayLike | None = None, frame_id: str = ''):
+                 truth: ArrayLike | None = None, frame_id: str = '',
+                 cache_bytes: int = CACHE_BYTES) -> None:
         if n_frames < 1:
             raise DataError(f'{name} holds no frames')
         if min(shape) < 1:
@@ -69,7 +72,7 @@ class Recording:
         self.frame_id = frame_id
         self._source = source
         self._cache: OrderedDict[int, NDArray] = OrderedDict()
-        self._cache_length = max(2, CACHE_BYTES // (shape[0] * shape[1] * dtype.itemsize))
+        self._cache_length = max(2, cache_bytes // (shape[0] * shape[1] * dtype.itemsize))
 
     def __len__(self) -> int:
         return len(self.stamps)
@@ -104,11 +107,11 @@ class Recording:
     def __enter__(self) -> Recording:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
-def _checked_stamps(name, stamps, n_frames):
+def _checked_stamps(name: str, stamps: ArrayLike | None, n_frames: int) -> NDArray[np.float64]:
     """Return stamps as float64, made up when there are none."""
     if stamps is None:
         return np.arange(n_frames, dtype=np.float64)
@@ -133,7 +136,7 @@ def _checked_stamps(name, stamps, n_frames):
     return stamps
 
 
-def _checked_truth(name, truth):
+def _checked_truth(name: str, truth: ArrayLike) -> NDArray[np.float64]:
     """Return truth rows as float64."""
     truth = np.asarray(truth)
     if truth.dtype.kind not in 'iuf' or truth.ndim != 2 or truth.shape[1] != 4:

@@ -27,7 +27,8 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float32MultiArray, Header
 
 from track_before_detect.errors import DataError
-from track_before_detect.recordings.readers import open_recording, Recording
+from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.recordings.recording import Recording
 from track_before_detect.ros import conversions
 from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
 from track_before_detect.ros.running import run

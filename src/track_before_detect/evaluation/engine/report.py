@@ -14,7 +14,7 @@ from typing import Any
 from track_before_detect.errors import MissingExtraError
 from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
 from track_before_detect.evaluation.metrics.confidence import wilson_interval
-from track_before_detect.recordings.writers import write_summary_json
+from track_before_detect.recordings.result_files import write_summary_json
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import DataError
-from track_before_detect.recordings.readers import open_recording
+from track_before_detect.recordings.open_recording import open_recording
 
 pytest.importorskip('rosbags')
 from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: E402
@@ -70,7 +70,7 @@ def test_image_bag_gives_back_its_frames(tmp_path, storage, single_file):
 
 
 @settings(deadline=None, max_examples=15)
-@given(st.lists(st.integers(0, 5), max_size=12), st.sampled_from(STORAGES), st.integers(1, 3))
+@given(st.permutations(range(6)), st.sampled_from(STORAGES), st.integers(1, 3))
 def test_frames_may_be_read_in_any_order(order, storage, per_time):
     messages = [(10**9 * (k // per_time), message)
                 for k, (_, message) in enumerate(images(FRAMES))]
@@ -78,7 +78,6 @@ def test_frames_may_be_read_in_any_order(order, storage, per_time):
         write_bag(Path(folder) / 'bag', {'/image': (IMAGE, messages)}, storage)
         with open_recording(Path(folder) / 'bag') as recording:
             for k in order:
-                recording._cache.clear()
                 np.testing.assert_array_equal(recording[k], FRAMES[k])
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +64,7 @@ def open_rosbag(path: Path, topic: str | None = None) -> Recording:
         raise
 
 
-def _choose_topic(path, connections, topic):
+def _choose_topic(path: Path, connections: Iterable[Any], topic: str | None) -> list[Any]:
     """Return the connections of the topic to read."""
     suitable = sorted({c.topic for c in connections if c.msgtype in _TYPES and c.msgcount})
     listed = ', '.join(suitable) or 'none'
@@ -86,13 +88,13 @@ def _choose_topic(path, connections, topic):
 class _BagSource:
     """Reads messages forwards; a jump starts again at the time of the frame wanted."""
 
-    def __init__(self, path, reader, connections, typestore):
+    def __init__(self, path: Path, reader: Any, connections: list[Any], typestore: Any) -> None:
         self._path = path
         self._reader = reader
         self._connections = connections
         self._typestore = typestore
-        self._received = []
-        self._messages = iter(())
+        self._received: list[int] = []
+        self._messages: Iterator[tuple[Any, int, bytes]] = iter(())
         self._next = -1
 
     def scan(self) -> Recording:
@@ -128,7 +130,7 @@ class _BagSource:
             return self._decode(index, message)
         raise DataError(f'message {index} of {self._path} has disappeared')
 
-    def _start(self, index):
+    def _start(self, index: int) -> None:
         """Let the next message be number ``index``."""
         if not self._received:
             self._messages = self._reader.messages(self._connections)
@@ -139,7 +141,7 @@ class _BagSource:
         for _ in range(index - self._received.index(time)):
             next(self._messages)
 
-    def _iterate(self):
+    def _iterate(self) -> Iterator[tuple[int, Any]]:
         while True:
             try:
                 item = next(self._messages, None)
@@ -152,7 +154,7 @@ class _BagSource:
                     f'bag {self._path} cannot be read to the end: {_reason(error)}') from error
             yield received, message
 
-    def _decode(self, index, message):
+    def _decode(self, index: int, message: Any) -> NDArray:
         try:
             if hasattr(message, 'encoding'):
                 return decode_image(message.data, message.encoding, message.height,
@@ -169,6 +171,6 @@ class _BagSource:
             self._reader.close()
 
 
-def _reason(error):
+def _reason(error: Exception) -> str:
     """Return the first line of what an error says, or its name."""
     return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -1,15 +1,18 @@
-"""Recordings in NumPy archives."""
+"""Recordings in NumPy archives, read and written."""
 
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
+from typing import IO
 import zipfile
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from track_before_detect.atomic_files import atomic_path
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.recording import Recording
 
@@ -34,7 +37,27 @@ def open_npz(path: Path) -> Recording:
         raise
 
 
-def _open_archive(path, archive):
+def write_npz_recording(path: str | os.PathLike, frames: ArrayLike, stamps: ArrayLike,
+                        truth: ArrayLike | None = None) -> None:
+    """Write a recording that :func:`~.open_recording.open_recording` reads.
+
+    Parameters
+    ----------
+    path : path
+        Ends with ``.npz``.
+    frames : array, shape (T, H, W)
+    stamps : array, shape (T,)
+        Seconds.
+    truth : array, shape (N, 4), optional
+        Rows [frame, id, x, y].
+    """
+    rows = np.zeros((0, 4)) if truth is None else np.asarray(truth)
+    with atomic_path(path) as partial, open(partial, 'wb') as file:
+        # Noise hardly compresses, and stored frames are read much faster.
+        np.savez(file, frames=np.asarray(frames), stamps=np.asarray(stamps), truth=rows)
+
+
+def _open_archive(path: Path, archive: zipfile.ZipFile) -> Recording:
     names = {name[:-4] for name in archive.namelist() if name.endswith('.npy')}
     if 'frames' not in names:
         found = ', '.join(sorted(names)) or 'no arrays'
@@ -52,7 +75,8 @@ def _open_archive(path, archive):
         raise
 
 
-def _recording(path, archive, names, source):
+def _recording(path: Path, archive: zipfile.ZipFile, names: set[str],
+               source: _NpzSource) -> Recording:
     n_frames, height, width = source.shape
     stamps = None
     if 'stamps' in names:
@@ -67,7 +91,7 @@ def _recording(path, archive, names, source):
     return Recording(path.name, (height, width), source.dtype, n_frames, source, stamps, truth)
 
 
-def _small_array(path, archive, name):
+def _small_array(path: Path, archive: zipfile.ZipFile, name: str) -> NDArray:
     """Return a whole array of the archive."""
     try:
         with archive.open(f'{name}.npy') as file:
@@ -84,7 +108,7 @@ def _small_array(path, archive, name):
 class _NpzSource:
     """Streams the array ``frames`` forwards; a step back opens the member again."""
 
-    def __init__(self, path, archive):
+    def __init__(self, path: Path, archive: zipfile.ZipFile) -> None:
         self._path = path
         self._archive = archive
         self._member = archive.open('frames.npy')
@@ -94,7 +118,7 @@ class _NpzSource:
             self._member.close()
             raise
 
-    def _read_layout(self):
+    def _read_layout(self) -> None:
         self.shape, fortran_order, self.dtype = _read_header(self._member)
         path = self._path
         if self.dtype.hasobject or self.dtype.kind not in 'iufc':
@@ -106,7 +130,7 @@ class _NpzSource:
                 f"array 'frames' of {path} must be (T, H, W), got {what} of shape {self.shape}")
         _check_size(path, self._archive, 'frames', self.shape, self.dtype, self._member.tell())
         self._next = 0
-        self._whole = None
+        self._whole: NDArray | None = None
         if fortran_order:
             # Here a frame is scattered over the whole file.
             self._whole = _small_array(path, self._archive, 'frames')
@@ -129,7 +153,7 @@ class _NpzSource:
         return np.frombuffer(data, self.dtype).reshape(self.shape[1:]).astype(
             self.dtype.newbyteorder('='))
 
-    def _skip(self, n_bytes):
+    def _skip(self, n_bytes: int) -> None:
         while n_bytes > 0:
             n_bytes -= len(_read_exactly(self._member, min(n_bytes, _SKIP_BYTES)))
 
@@ -138,7 +162,7 @@ class _NpzSource:
         self._archive.close()
 
 
-def _read_header(file):
+def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Return shape, Fortran order and type of the array that starts here."""
     version = np.lib.format.read_magic(file)
     if version == (1, 0):
@@ -148,7 +172,8 @@ def _read_header(file):
     raise DataError(f'.npy format version {version[0]}.{version[1]} is not for plain numbers')
 
 
-def _check_size(path, archive, name, shape, dtype, header_bytes):
+def _check_size(path: Path, archive: zipfile.ZipFile, name: str, shape: tuple[int, ...],
+                dtype: np.dtype, header_bytes: int) -> None:
     """Refuse an array that its member does not hold, before memory is asked for it."""
     n_bytes = math.prod(shape) * dtype.itemsize
     held = archive.getinfo(f'{name}.npy').file_size - header_bytes
@@ -158,7 +183,7 @@ def _check_size(path, archive, name, shape, dtype, header_bytes):
             f'bytes, got {held}')
 
 
-def _read_exactly(file, n_bytes):
+def _read_exactly(file: IO[bytes], n_bytes: int) -> bytes:
     """Return ``n_bytes`` bytes; the archive ending before is an error."""
     parts = []
     missing = n_bytes

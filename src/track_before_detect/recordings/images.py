@@ -5,6 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 import re
 import struct
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,12 +46,11 @@ def natural_key(file: Path) -> tuple[list[tuple[int, str]], str]:
 class _FolderSource:
     """Reads one file per frame."""
 
-    def __init__(self, files):
+    def __init__(self, files: list[Path]) -> None:
         self._files = files
 
     def read(self, index: int) -> NDArray:
-        file = self._files[index]
-        return read_image(file)
+        return read_image(self._files[index])
 
     def close(self) -> None:
         pass
@@ -68,7 +69,7 @@ def read_image(file: Path) -> NDArray:
     return read(file)
 
 
-def _read_pillow_image(file):
+def _read_pillow_image(file: Path) -> NDArray:
     try:
         from PIL import Image
     except ImportError as error:
@@ -85,7 +86,7 @@ def _read_pillow_image(file):
         raise DataError(f'image {file} cannot be read: {error}') from error
 
 
-def _read_tiff_image(file):
+def _read_tiff_image(file: Path) -> NDArray:
     tifffile = _import_tifffile()
     try:
         with tifffile.TiffFile(file) as tiff:
@@ -96,7 +97,7 @@ def _read_tiff_image(file):
         raise DataError(f'image {file} cannot be read: {error}') from error
 
 
-def _page_frame(path, page):
+def _page_frame(path: Path, page: Any) -> NDArray:
     """Return one page of a TIFF file as a frame."""
     pixels = page.asarray()
     if page.axes == 'YX':
@@ -129,7 +130,7 @@ def open_tiff(path: Path) -> Recording:
         raise DataError(f'{path} cannot be read: {error}') from error
 
 
-def _open_tiff(path, tiff, tifffile):
+def _open_tiff(path: Path, tiff: Any, tifffile: ModuleType) -> Recording:
     n_pages = len(tiff.pages)
     if n_pages == 0:
         raise DataError(f'{path} holds no pages')
@@ -151,7 +152,7 @@ def _open_tiff(path, tiff, tifffile):
 class _TiffSource:
     """Reads one page per frame."""
 
-    def __init__(self, path, tiff, tifffile):
+    def __init__(self, path: Path, tiff: Any, tifffile: ModuleType) -> None:
         self._path = path
         self._tiff = tiff
         self._errors = (*_READ_ERRORS, tifffile.TiffFileError)
@@ -171,7 +172,7 @@ class _TiffSource:
 class _VolumeSource:
     """Copies frames out of an array in a mapped file."""
 
-    def __init__(self, volume, file):
+    def __init__(self, volume: NDArray, file: Any) -> None:
         self._volume = volume
         self._file = file
 
@@ -219,7 +220,7 @@ def open_fits(path: Path) -> Recording:
 class _FitsSource:
     """Reads one plane of a cube per frame."""
 
-    def __init__(self, path, units, unit):
+    def __init__(self, path: Path, units: Any, unit: Any) -> None:
         self._path = path
         self._units = units
         self._unit = unit
@@ -236,7 +237,7 @@ class _FitsSource:
         self._units.close()
 
 
-def _import_tifffile():
+def _import_tifffile() -> ModuleType:
     try:
         import tifffile
     except ImportError as error:
@@ -244,6 +245,6 @@ def _import_tifffile():
     return tifffile
 
 
-def _missing(package, what):
+def _missing(package: str, what: str) -> MissingExtraError:
     return MissingExtraError(
         f"reading {what} needs {package}: pip install 'track_before_detect[readers]'")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import DataError
-from track_before_detect.recordings import recording as recording_module
-from track_before_detect.recordings.readers import open_recording
-from track_before_detect.recordings.readers_images import natural_key
-from track_before_detect.recordings.writers import write_npz_recording
+from track_before_detect.recordings.images import natural_key
+from track_before_detect.recordings.npz import write_npz_recording
+from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.recordings.recording import Recording
 
 RNG = np.random.default_rng(20)
 FRAMES = RNG.normal(100, 30, (5, 7, 6))
@@ -84,28 +84,34 @@ def test_stamps_come_from_stamps_then_fps_then_one_second(tmp_path):
             assert recording.truth is None
 
 
-def test_long_recording_is_not_held_in_memory(tmp_path, monkeypatch):
-    frames = np.arange(200 * 16 * 16, dtype=np.float32).reshape(200, 16, 16)
-    monkeypatch.setattr(recording_module, 'CACHE_BYTES', 10 * frames[0].nbytes)
-    path = tmp_path / 'long.npz'
-    np.savez_compressed(path, frames=frames)
-    with open_recording(path) as recording:
+class CountingSource:
+    """Frames in memory, and which of them were asked for."""
+
+    def __init__(self, frames):
+        self.frames = frames
+        self.reads = []
+
+    def read(self, index):
+        self.reads.append(index)
+        return self.frames[index]
+
+    def close(self):
+        pass
+
+
+def test_a_long_recording_keeps_no_more_frames_than_its_memory_holds():
+    source = CountingSource(np.arange(200 * 256, dtype=np.float32).reshape(200, 16, 16))
+    with Recording('long', (16, 16), np.float32, 200, source,
+                   cache_bytes=10 * source.frames[0].nbytes) as recording:
         for start in range(0, 190, 5):
             for k in range(start, start + 10):
-                np.testing.assert_array_equal(recording[k], frames[k])
-        assert len(recording._cache) == 10
-
-
-def test_overlapping_batches_read_the_file_once(tmp_path):
-    path = tmp_path / 'a.npz'
-    np.savez_compressed(path, frames=FRAMES)
-    with open_recording(path) as recording:
-        reads = []
-        read = recording._source.read
-        recording._source.read = lambda k: reads.append(k) or read(k)
-        for k in (0, 1, 2, 1, 2, 3, 2, 3, 4):
-            recording[k]
-        assert reads == [0, 1, 2, 3, 4]
+                np.testing.assert_array_equal(recording[k], source.frames[k])
+        # Overlapping batches read every frame once; one further back was not kept.
+        assert source.reads == list(range(195))
+        recording[185]
+        assert len(source.reads) == 195
+        recording[184]
+        assert source.reads[-1] == 184
 
 
 def test_index_counts_from_the_end_and_is_bounded(tmp_path):
