@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, MissingExtraError
 from track_before_detect.recordings.encodings import luminance
+from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
 
 TIFF_SUFFIXES = ('.tif', '.tiff')
@@ -74,27 +75,20 @@ def _read_pillow_image(file: Path) -> NDArray:
         from PIL import Image
     except ImportError as error:
         raise _missing('Pillow', 'images') from error
-    try:
-        with Image.open(file) as image:
-            if image.mode in ('1', 'LA', 'La'):
-                return np.array(image.convert('L'))
-            if image.mode in _GREY_PILLOW_MODES:
-                pixels = np.array(image)
-                return pixels.astype(pixels.dtype.newbyteorder('='), copy=False)
-            return luminance(np.asarray(image.convert('RGB')))
-    except _READ_ERRORS as error:
-        raise DataError(f'image {file} cannot be read: {error}') from error
+    with read_errors(f'image {file} cannot be read', _READ_ERRORS), Image.open(file) as image:
+        if image.mode in ('1', 'LA', 'La'):
+            return np.array(image.convert('L'))
+        if image.mode in _GREY_PILLOW_MODES:
+            pixels = np.array(image)
+            return pixels.astype(pixels.dtype.newbyteorder('='), copy=False)
+        return luminance(np.asarray(image.convert('RGB')))
 
 
 def _read_tiff_image(file: Path) -> NDArray:
     tifffile = _import_tifffile()
-    try:
-        with tifffile.TiffFile(file) as tiff:
-            return _page_frame(file, tiff.pages[0])
-    except DataError:
-        raise
-    except (*_READ_ERRORS, tifffile.TiffFileError) as error:
-        raise DataError(f'image {file} cannot be read: {error}') from error
+    with (read_errors(f'image {file} cannot be read', (*_READ_ERRORS, tifffile.TiffFileError)),
+          tifffile.TiffFile(file) as tiff):
+        return _page_frame(file, tiff.pages[0])
 
 
 def _page_frame(path: Path, page: Any) -> NDArray:
@@ -116,18 +110,11 @@ def _page_frame(path: Path, page: Any) -> NDArray:
 def open_tiff(path: Path) -> Recording:
     """Open a TIFF file in which every page is a frame."""
     tifffile = _import_tifffile()
-    try:
+    errors = (*_READ_ERRORS, tifffile.TiffFileError)
+    with read_errors(f'{path} is not a complete TIFF file', errors):
         tiff = tifffile.TiffFile(path)
-    except (*_READ_ERRORS, tifffile.TiffFileError) as error:
-        raise DataError(f'{path} is not a complete TIFF file: {error}') from error
-    try:
+    with closed_on_error(tiff), read_errors(f'{path} cannot be read', errors):
         return _open_tiff(path, tiff, tifffile)
-    except DataError:
-        tiff.close()
-        raise
-    except (*_READ_ERRORS, tifffile.TiffFileError) as error:
-        tiff.close()
-        raise DataError(f'{path} cannot be read: {error}') from error
 
 
 def _open_tiff(path: Path, tiff: Any, tifffile: ModuleType) -> Recording:
@@ -158,12 +145,8 @@ class _TiffSource:
         self._errors = (*_READ_ERRORS, tifffile.TiffFileError)
 
     def read(self, index: int) -> NDArray:
-        try:
+        with read_errors(f'page {index} of {self._path} cannot be read', self._errors):
             return _page_frame(self._path, self._tiff.pages[index])
-        except DataError:
-            raise
-        except self._errors as error:
-            raise DataError(f'page {index} of {self._path} cannot be read: {error}') from error
 
     def close(self) -> None:
         self._tiff.close()
@@ -191,12 +174,10 @@ def open_fits(path: Path) -> Recording:
         raise _missing('astropy', 'FITS files') from error
     if path.stat().st_size == 0:
         raise DataError(f'{path} is empty')
-    try:
+    with read_errors(f'{path} is not a FITS file', _READ_ERRORS):
         # Sections are read from the file by themselves; scaled ones could not be mapped.
         units = fits.open(path, memmap=False)
-    except _READ_ERRORS as error:
-        raise DataError(f'{path} is not a FITS file: {error}') from error
-    try:
+    with closed_on_error(units), read_errors(f'{path} cannot be read', _READ_ERRORS):
         found = []
         for unit in units:
             shape: tuple[int, ...] = unit.shape if unit.is_image else ()
@@ -209,12 +190,6 @@ def open_fits(path: Path) -> Recording:
         raise DataError(
             f'{path} must hold an image of three axes (T, H, W), found '
             f'{", ".join(found) or "no image"}')
-    except DataError:
-        units.close()
-        raise
-    except _READ_ERRORS as error:
-        units.close()
-        raise DataError(f'{path} cannot be read: {error}') from error
 
 
 class _FitsSource:
@@ -226,11 +201,9 @@ class _FitsSource:
         self._unit = unit
 
     def read(self, index: int) -> NDArray:
-        try:
+        with read_errors(f'frame {index} of {self._path} cannot be read', _READ_ERRORS):
             # Sections apply BSCALE and BZERO to what is read alone.
             plane = np.asarray(self._unit.section[index, :, :])
-        except _READ_ERRORS as error:
-            raise DataError(f'frame {index} of {self._path} cannot be read: {error}') from error
         return np.array(plane, plane.dtype.newbyteorder('='))
 
     def close(self) -> None:

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.atomic_files import atomic_path
 from track_before_detect.errors import DataError
+from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
 
 # What damaged or foreign archives raise in zipfile, zlib and numpy.lib.format.
@@ -26,15 +27,17 @@ def open_npz(path: Path) -> Recording:
     """Open an archive with ``frames`` (T, H, W) and optional ``stamps``, ``fps``, ``truth``."""
     if path.stat().st_size == 0:
         raise DataError(f'{path} is empty')
-    try:
+    with read_errors(f'{path} is not a complete .npz archive', _READ_ERRORS):
         archive = zipfile.ZipFile(path)
-    except _READ_ERRORS as error:
-        raise DataError(f'{path} is not a complete .npz archive: {error}') from error
-    try:
-        return _open_archive(path, archive)
-    except BaseException:
-        archive.close()
-        raise
+    with closed_on_error(archive):
+        names = {name[:-4] for name in archive.namelist() if name.endswith('.npy')}
+        if 'frames' not in names:
+            found = ', '.join(sorted(names)) or 'no arrays'
+            raise DataError(f"{path} must hold an array 'frames' (T, H, W), found {found}")
+        with read_errors(f"array 'frames' of {path} cannot be read", _READ_ERRORS):
+            source = _NpzSource(path, archive)
+        with closed_on_error(source):
+            return _recording(path, archive, names, source)
 
 
 def write_npz_recording(path: str | os.PathLike, frames: ArrayLike, stamps: ArrayLike,
@@ -57,24 +60,6 @@ def write_npz_recording(path: str | os.PathLike, frames: ArrayLike, stamps: Arra
         np.savez(file, frames=np.asarray(frames), stamps=np.asarray(stamps), truth=rows)
 
 
-def _open_archive(path: Path, archive: zipfile.ZipFile) -> Recording:
-    names = {name[:-4] for name in archive.namelist() if name.endswith('.npy')}
-    if 'frames' not in names:
-        found = ', '.join(sorted(names)) or 'no arrays'
-        raise DataError(f"{path} must hold an array 'frames' (T, H, W), found {found}")
-    try:
-        source = _NpzSource(path, archive)
-    except DataError:
-        raise
-    except _READ_ERRORS as error:
-        raise DataError(f"array 'frames' of {path} cannot be read: {error}") from error
-    try:
-        return _recording(path, archive, names, source)
-    except BaseException:
-        source.close()
-        raise
-
-
 def _recording(path: Path, archive: zipfile.ZipFile, names: set[str],
                source: _NpzSource) -> Recording:
     n_frames, height, width = source.shape
@@ -93,16 +78,12 @@ def _recording(path: Path, archive: zipfile.ZipFile, names: set[str],
 
 def _small_array(path: Path, archive: zipfile.ZipFile, name: str) -> NDArray:
     """Return a whole array of the archive."""
-    try:
-        with archive.open(f'{name}.npy') as file:
-            shape, _, dtype = _read_header(file)
-            _check_size(path, archive, name, shape, dtype, file.tell())
-            file.seek(0)
-            return np.lib.format.read_array(file, allow_pickle=False)
-    except DataError:
-        raise
-    except _READ_ERRORS as error:
-        raise DataError(f'array {name!r} of {path} cannot be read: {error}') from error
+    with (read_errors(f'array {name!r} of {path} cannot be read', _READ_ERRORS),
+          archive.open(f'{name}.npy') as file):
+        shape, _, dtype = _read_header(file)
+        _check_size(path, archive, name, shape, dtype, file.tell())
+        file.seek(0)
+        return np.lib.format.read_array(file, allow_pickle=False)
 
 
 class _NpzSource:
@@ -112,11 +93,8 @@ class _NpzSource:
         self._path = path
         self._archive = archive
         self._member = archive.open('frames.npy')
-        try:
+        with closed_on_error(self._member):
             self._read_layout()
-        except BaseException:
-            self._member.close()
-            raise
 
     def _read_layout(self) -> None:
         self.shape, fortran_order, self.dtype = _read_header(self._member)
@@ -139,7 +117,7 @@ class _NpzSource:
         if self._whole is not None:
             return np.array(self._whole[index], order='C')
         n_bytes = self.shape[1] * self.shape[2] * self.dtype.itemsize
-        try:
+        with read_errors(f'frame {index} of {self._path} cannot be read', _READ_ERRORS):
             if index < self._next:
                 self._member.close()
                 self._member = self._archive.open('frames.npy')
@@ -147,8 +125,6 @@ class _NpzSource:
                 self._next = 0
             self._skip((index - self._next) * n_bytes)
             data = _read_exactly(self._member, n_bytes)
-        except _READ_ERRORS as error:
-            raise DataError(f'frame {index} of {self._path} cannot be read: {error}') from error
         self._next = index + 1
         return np.frombuffer(data, self.dtype).reshape(self.shape[1:]).astype(
             self.dtype.newbyteorder('='))

@@ -11,12 +11,15 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, MissingExtraError
 from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
+from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
 
 BAG_SUFFIXES = ('.db3', '.mcap')
 IMAGE_TYPE = 'sensor_msgs/msg/Image'
 ARRAY_TYPE = 'std_msgs/msg/Float32MultiArray'
 _TYPES = (IMAGE_TYPE, ARRAY_TYPE)
+# The bag library lets errors of sqlite, compression and YAML through.
+_READ_ERRORS = (Exception,)
 
 
 def find_bag(folder: Path) -> Path | None:
@@ -49,19 +52,13 @@ def open_rosbag(path: Path, topic: str | None = None) -> Recording:
             "reading bags needs rosbags: pip install 'track_before_detect[readers]'") from error
     if path.is_file() and path.stat().st_size == 0:
         raise DataError(f'{path} is empty')
-    # The bag library lets errors of sqlite, compression and YAML through, hence Exception.
-    try:
+    with read_errors(f'bag {path} cannot be opened', _READ_ERRORS):
         reader = Reader(path)
         reader.open()
-    except Exception as error:
-        raise DataError(f'bag {path} cannot be opened: {_reason(error)}') from error
-    try:
+    with closed_on_error(reader):
         connections = _choose_topic(path, reader.connections, topic)
         source = _BagSource(path, reader, connections, get_typestore(Stores.ROS2_JAZZY))
         return source.scan()
-    except BaseException:
-        reader.close()
-        raise
 
 
 def _choose_topic(path: Path, connections: Iterable[Any], topic: str | None) -> list[Any]:
@@ -143,15 +140,12 @@ class _BagSource:
 
     def _iterate(self) -> Iterator[tuple[int, Any]]:
         while True:
-            try:
+            with read_errors(f'bag {self._path} cannot be read to the end', _READ_ERRORS):
                 item = next(self._messages, None)
                 if item is None:
                     return
                 connection, received, raw = item
                 message = self._typestore.deserialize_cdr(raw, connection.msgtype)
-            except Exception as error:
-                raise DataError(
-                    f'bag {self._path} cannot be read to the end: {_reason(error)}') from error
             yield received, message
 
     def _decode(self, index: int, message: Any) -> NDArray:
@@ -169,8 +163,3 @@ class _BagSource:
         self._messages = iter(())
         if self._reader.is_open:
             self._reader.close()
-
-
-def _reason(error: Exception) -> str:
-    """Return the first line of what an error says, or its name."""
-    return (str(error).strip() or type(error).__name__).splitlines()[0]
