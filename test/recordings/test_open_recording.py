@@ -2,6 +2,7 @@ import io
 import os
 from pathlib import Path
 import tempfile
+import weakref
 import zipfile
 
 from hypothesis import given, settings
@@ -14,7 +15,7 @@ from track_before_detect.errors import DataError
 from track_before_detect.recordings.images import natural_key
 from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.recordings.open_recording import open_recording
-from track_before_detect.recordings.recording import Recording
+from track_before_detect.recordings.recording import CACHE_BYTES, Recording
 
 RNG = np.random.default_rng(20)
 FRAMES = RNG.normal(100, 30, (5, 7, 6))
@@ -84,34 +85,44 @@ def test_stamps_come_from_stamps_then_fps_then_one_second(tmp_path):
             assert recording.truth is None
 
 
-class CountingSource:
-    """Frames in memory, and which of them were asked for."""
+class CountedSource:
+    """Makes frames, and tells which were asked for and which are still held."""
 
-    def __init__(self, frames):
-        self.frames = frames
-        self.reads = []
+    def __init__(self, shape):
+        self.shape = shape
+        self.asked, self.made = [], []
 
     def read(self, index):
-        self.reads.append(index)
-        return self.frames[index]
+        frame = np.zeros(self.shape, np.float32)
+        frame[0, 0] = index
+        self.asked.append(index)
+        self.made.append(weakref.ref(frame))
+        return frame
 
     def close(self):
         pass
 
+    def n_held(self):
+        return sum(frame() is not None for frame in self.made)
 
-def test_a_long_recording_keeps_no_more_frames_than_its_memory_holds():
-    source = CountingSource(np.arange(200 * 256, dtype=np.float32).reshape(200, 16, 16))
-    with Recording('long', (16, 16), np.float32, 200, source,
-                   cache_bytes=10 * source.frames[0].nbytes) as recording:
-        for start in range(0, 190, 5):
+
+def test_long_recording_is_not_held_in_memory():
+    shape = (2048, 1024)
+    source = CountedSource(shape)
+    with Recording('long', shape, np.float32, 60, source) as recording:
+        for start in range(0, 50, 5):
             for k in range(start, start + 10):
-                np.testing.assert_array_equal(recording[k], source.frames[k])
-        # Overlapping batches read every frame once; one further back was not kept.
-        assert source.reads == list(range(195))
-        recording[185]
-        assert len(source.reads) == 195
-        recording[184]
-        assert source.reads[-1] == 184
+                assert recording[k][0, 0] == k
+        assert 10 <= source.n_held() <= CACHE_BYTES // (4 * shape[0] * shape[1])
+    assert source.n_held() == 0
+
+
+def test_overlapping_batches_read_a_frame_once():
+    source = CountedSource((7, 6))
+    with Recording('short', (7, 6), np.float32, 5, source) as recording:
+        for k in (0, 1, 2, 1, 2, 3, 2, 3, 4):
+            recording[k]
+    assert source.asked == [0, 1, 2, 3, 4]
 
 
 def test_index_counts_from_the_end_and_is_bounded(tmp_path):

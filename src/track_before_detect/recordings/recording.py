@@ -48,14 +48,11 @@ class Recording:
         Rows [frame, id, x, y].
     frame_id : str
         Coordinate frame of the sensor.
-    cache_bytes : int
-        Memory for frames that were read; two are kept at least.
     """
 
     def __init__(self, name: str, shape: tuple[int, int], dtype: np.dtype, n_frames: int,
                  source: FrameSource, stamps: ArrayLike | None = None,
-                 truth: ArrayLike | None = None, frame_id: str = '',
-                 cache_bytes: int = CACHE_BYTES) -> None:
+                 truth: ArrayLike | None = None, frame_id: str = '') -> None:
         if n_frames < 1:
             raise DataError(f'{name} holds no frames')
         if min(shape) < 1:
@@ -72,7 +69,7 @@ class Recording:
         self.frame_id = frame_id
         self._source = source
         self._cache: OrderedDict[int, NDArray] = OrderedDict()
-        self._cache_length = max(2, cache_bytes // (shape[0] * shape[1] * dtype.itemsize))
+        self._cache_length = max(2, CACHE_BYTES // (shape[0] * shape[1] * dtype.itemsize))
 
     def __len__(self) -> int:
         return len(self.stamps)
