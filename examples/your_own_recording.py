@@ -9,9 +9,9 @@ import sys
 import numpy as np
 
 from track_before_detect.options import DetectorOptions
+from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.recordings.overlay import write_overlay
-from track_before_detect.recordings.readers import open_recording
-from track_before_detect.recordings.writers import write_trajectories_csv
+from track_before_detect.recordings.result_files import write_trajectories_csv
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.tracking.recording import detect_recording
 

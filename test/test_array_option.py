@@ -9,7 +9,7 @@ import pytest
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.options import DetectorOptions, parse_option
-from track_before_detect.recordings.writers import write_summary_json
+from track_before_detect.recordings.result_files import write_summary_json
 
 PSF = np.arange(15.0).reshape(3, 5)
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError, TbdError
-from track_before_detect.recordings.readers_images import IMAGE_SUFFIXES, read_image
+from track_before_detect.recordings.images import IMAGE_SUFFIXES, read_image
 
 _ARCHIVE_ERRORS = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error)
 

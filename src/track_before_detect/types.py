@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-# Told, during long work, what is being done and the share that is done, 0 to 1.
+# Called during long work with what is being done and the share that is done, 0 to 1.
 Progress = Callable[[str, float], None]
 
 

@@ -16,7 +16,7 @@ import pytest
 from track_before_detect.cli import detect, main
 from track_before_detect.cli.console import Progress
 from track_before_detect.options import describe
-from track_before_detect.recordings.readers import open_recording
+from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.simulation.scenarios import SCENARIOS
 from track_before_detect.types import DetectionResult, Trajectory
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from track_before_detect.preprocess.whiteness import correlation_factor
+from track_before_detect.preprocess.whiteness import coloured_noise_factor
 
 
 @pytest.mark.parametrize('sigma_px', [0.7, 1.0, 2.0])
@@ -16,9 +16,9 @@ def test_correlated_noise_leaves_the_matched_filter_at_unit_variance(sigma_px):
     profile /= np.linalg.norm(profile)
     output = ndimage.correlate1d(ndimage.correlate1d(frames, profile, axis=1, mode='wrap'),
                                  profile, axis=2, mode='wrap')
-    assert correlation_factor(frames, sigma_px) == pytest.approx(output.std(), rel=0.03)
+    assert coloured_noise_factor(frames, sigma_px) == pytest.approx(output.std(), rel=0.03)
 
 
 def test_white_noise_needs_no_correction():
     frames = np.random.default_rng(5).normal(size=(8, 64, 64))
-    assert correlation_factor(frames, 1.0) == 1.0
+    assert coloured_noise_factor(frames, 1.0) == 1.0

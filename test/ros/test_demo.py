@@ -14,7 +14,7 @@ pytest.importorskip('rclpy')
 pytest.importorskip('matplotlib')
 
 import track_before_detect
-from track_before_detect.recordings.writers import write_npz_recording
+from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.ros.demo_report import report
 from track_before_detect.types import Trajectory
 

@@ -14,7 +14,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy  # n
 from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
 from std_msgs.msg import Float32MultiArray  # noqa: E402
 
-from track_before_detect.recordings.writers import write_npz_recording  # noqa: E402
+from track_before_detect.recordings.npz import write_npz_recording  # noqa: E402
 from track_before_detect.ros import conversions  # noqa: E402
 from track_before_detect.simulation.scenarios import simulate  # noqa: E402
 

@@ -8,7 +8,7 @@ import sys
 from typing import Any
 
 from track_before_detect.cli.console import check_output_file, FOUND, Progress
-from track_before_detect.recordings.writers import write_summary_json
+from track_before_detect.recordings.result_files import write_summary_json
 
 _EXAMPLES = """\
 examples:

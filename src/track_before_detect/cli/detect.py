@@ -37,10 +37,10 @@ from track_before_detect.options import (
     is_neutral,
     parse_option,
 )
+from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.recordings.overlay import write_overlay
-from track_before_detect.recordings.readers import open_recording
 from track_before_detect.recordings.recording import Recording
-from track_before_detect.recordings.writers import write_summary_json, write_trajectories_csv
+from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
 from track_before_detect.types import DetectionResult, Trajectory
 
 _EXAMPLES = """\

@@ -16,7 +16,7 @@ from track_before_detect.cli.console import (
     option_lines,
     PrintAndExit,
 )
-from track_before_detect.recordings.writers import write_npz_recording
+from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.simulation import scenarios
 from track_before_detect.simulation.scenarios import Scenario, SCENARIOS
 

@@ -5,7 +5,7 @@ report, ``studies`` has a folder for each study of ``tbd evaluate`` and ``benchm
 each bench of ``tbd bench``. Only these two commands import this room, so that it could become a
 distribution of its own. These are the doors of the rest that it goes through:
 
-- for everything: ``errors``, ``options``, ``parallel``, ``types``, ``recordings.writers``;
+- for everything: ``errors``, ``options``, ``parallel``, ``types``, ``recordings.result_files``;
 - scenes: ``simulation.motions``, ``simulation.scenarios``, ``simulation.sensor``;
 - detectors: ``tracking.pipeline``, ``solvers.batch_detector``, ``solvers.calibration.threshold``;
 - the methods of the papers, whose parts are measured: ``models.motion.transition_sets``,

@@ -20,7 +20,7 @@ from track_before_detect.preprocess.given_pixels import given_level, masked_pixe
 from track_before_detect.preprocess.noise_level import frame_level, pixel_level, scene_level
 from track_before_detect.preprocess.registration import register
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
-from track_before_detect.preprocess.whiteness import correlation_factor
+from track_before_detect.preprocess.whiteness import coloured_noise_factor
 from track_before_detect.types import FrameBatch
 
 _QUANTISED_FLOOR = 0.3  # of a grey level: rounding alone adds 1/sqrt(12)
@@ -220,7 +220,7 @@ def _with_white_scale(prepared: PreparedBatch, width_px: float) -> PreparedBatch
     """Return a batch whose matched filter has unit noise; that of complex frames is white."""
     if np.iscomplexobj(prepared.frames):
         return prepared
-    factor = correlation_factor(prepared.frames, width_px)
+    factor = coloured_noise_factor(prepared.frames, width_px)
     return _divided(prepared, np.full((1, 1, 1), factor))
 
 

@@ -12,7 +12,7 @@ _SIGNIFICANT = 3.0  # deviations by which noise must differ from white
 _FRAMES_USED = 8
 
 
-def correlation_factor(frames: NDArray, width_px: float) -> float:
+def coloured_noise_factor(frames: NDArray, width_px: float) -> float:
     """Return how much stronger the noise is at the scale of a target than if it were white.
 
     Compression and what is left of the background correlate the noise of neighbouring pixels.

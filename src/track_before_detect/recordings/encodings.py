@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -50,7 +51,7 @@ def luminance(colour: NDArray, order: tuple[int, int, int] = (0, 1, 2)) -> NDArr
     return grey
 
 
-def decode_image(data, encoding: str, height: int, width: int, step: int,
+def decode_image(data: Any, encoding: str, height: int, width: int, step: int,
                  is_bigendian: bool | int) -> NDArray:
     """Return the frame in the bytes of an image message.
 

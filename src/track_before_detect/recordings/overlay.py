@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 import os
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -145,7 +146,7 @@ def write_overlay(path: str | os.PathLike, image: NDArray, trajectories: Sequenc
         figure.savefig(partial, format='png', dpi=110)
 
 
-def _draw_truth(axes, truth):
+def _draw_truth(axes: Sequence[Any], truth: NDArray | None) -> None:
     """Draw each true target as a thin dashed line."""
     if truth is None or not len(truth):
         return
@@ -164,7 +165,8 @@ def _draw_truth(axes, truth):
         label = '_nolegend_'
 
 
-def _draw_trajectory(axes, trajectory, frame_index):
+def _draw_trajectory(axes: Sequence[Any], trajectory: Trajectory,
+                     frame_index: int | None) -> None:
     """Draw one trajectory in all panels."""
     plane, over_x, over_y = axes
     colour = tuple(channel / 255 for channel in colour_of(trajectory.id))
@@ -188,7 +190,7 @@ def _draw_trajectory(axes, trajectory, frame_index):
         over_y.plot(frames[last], y[last], marker='.', color=colour)
 
 
-def _draw_label(axes, trajectory, points):
+def _draw_label(axes: Any, trajectory: Trajectory, points: NDArray) -> None:
     """Write the number of a trajectory beside the last of its points (T, 2)."""
     from matplotlib.patheffects import withStroke
 
@@ -202,7 +204,7 @@ def _draw_label(axes, trajectory, points):
             annotation_clip=True)
 
 
-def _real(frame):
+def _real(frame: NDArray) -> NDArray[np.floating]:
     """Return a real picture of a frame, in the floating-point type that holds its values."""
     frame = np.asarray(frame)
     if np.iscomplexobj(frame):
@@ -210,13 +212,13 @@ def _real(frame):
     return frame.astype(np.result_type(frame.dtype, np.float32), copy=False)
 
 
-def _present(trajectory):
+def _present(trajectory: Trajectory) -> NDArray[np.float64]:
     """Return the positions of a trajectory where it is present, shape (N, 2)."""
     positions = np.asarray(trajectory.positions, np.float64)
     return positions[np.isfinite(positions).all(axis=1)]
 
 
-def _line_pixels(points):
+def _line_pixels(points: NDArray) -> NDArray[np.int64]:
     """Return whole pixels (column, row) on the straight lines between points."""
     if len(points) < 2:
         return np.rint(points).astype(np.int64).reshape(-1, 2)

@@ -52,7 +52,7 @@ class Recording:
 
     def __init__(self, name: str, shape: tuple[int, int], dtype: np.dtype, n_frames: int,
                  source: FrameSource, stamps: ArrayLike | None = None,
-                 truth: ArrayLike | None = None, frame_id: str = ''):
+                 truth: ArrayLike | None = None, frame_id: str = '') -> None:
         if n_frames < 1:
             raise DataError(f'{name} holds no frames')
         if min(shape) < 1:
@@ -104,11 +104,11 @@ class Recording:
     def __enter__(self) -> Recording:
         return self
 
-    def __exit__(self, *_) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
-def _checked_stamps(name, stamps, n_frames):
+def _checked_stamps(name: str, stamps: ArrayLike | None, n_frames: int) -> NDArray[np.float64]:
     """Return stamps as float64, made up when there are none."""
     if stamps is None:
         return np.arange(n_frames, dtype=np.float64)
@@ -133,7 +133,7 @@ def _checked_stamps(name, stamps, n_frames):
     return stamps
 
 
-def _checked_truth(name, truth):
+def _checked_truth(name: str, truth: ArrayLike) -> NDArray[np.float64]:
     """Return truth rows as float64."""
     truth = np.asarray(truth)
     if truth.dtype.kind not in 'iuf' or truth.ndim != 2 or truth.shape[1] != 4:

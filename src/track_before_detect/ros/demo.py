@@ -40,10 +40,11 @@ from track_before_detect.cli.console import (
 )
 from track_before_detect.errors import ParameterError, TbdError
 from track_before_detect.options import DetectorOptions, parse_option
+from track_before_detect.recordings.npz import write_npz_recording
+from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.recordings.overlay import write_overlay
-from track_before_detect.recordings.readers import open_recording
 from track_before_detect.recordings.recording import Recording
-from track_before_detect.recordings.writers import write_npz_recording, write_trajectories_csv
+from track_before_detect.recordings.result_files import write_trajectories_csv
 from track_before_detect.ros.child_process import ChildProcess
 from track_before_detect.ros.conversions import points_to_array, seconds_from_time
 from track_before_detect.ros.demo_report import report

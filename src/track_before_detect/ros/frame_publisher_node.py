@@ -27,7 +27,8 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float32MultiArray, Header
 
 from track_before_detect.errors import DataError
-from track_before_detect.recordings.readers import open_recording, Recording
+from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.recordings.recording import Recording
 from track_before_detect.ros import conversions
 from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
 from track_before_detect.ros.running import run
@@ -93,8 +94,8 @@ class FramePublisherNode(ParameterizedNode):
         self._pass_start_s: float | None = None
         self._waiting_logged_s = -np.inf
         self.get_logger().info(
-            f'{self._title}: {len(self._stamps)} frames of {self._shape[0]} x {self._shape[1]}, '
-            f'{self._rate_text()}')
+            '{}: {} frames of {} x {}, {}'.format(
+                self._title, len(self._stamps), *self._frames[0].shape, self._rate_text()))
 
     def step(self) -> float:
         """Publish the next frame if it is due; return the seconds until there is more to do."""
@@ -126,33 +127,25 @@ class FramePublisherNode(ParameterizedNode):
         super().destroy_node()
 
     def _open(self) -> None:
-        values = self.values()
+        self._values = values = self.values()
         self._frames: Recording | NDArray
         self._truth: NDArray | None
-        frame_id = ''
+        self._frame_id = values['frame_id']
         if values['input']:
-            self._recording = open_recording(values['input'], values['topic'] or None)
-            self._frames = self._recording
-            self._stamps = self._recording.stamps
-            self._truth = self._recording.truth
-            self._shape = self._recording.shape
-            self._title = self._recording.name
-            frame_id = self._recording.frame_id
+            self._recording = recording = open_recording(values['input'], values['topic'] or None)
+            self._frames, self._title = recording, recording.name
+            self._stamps, self._truth = recording.stamps, recording.truth
+            self._frame_id = self._frame_id or recording.frame_id
+        elif values['topic']:
+            raise DataError(
+                f'topic ({values["topic"]!r}) belongs to a bag, but input names none')
         else:
-            if values['topic']:
-                raise DataError(
-                    f'topic ({values["topic"]!r}) belongs to a bag, but input names none')
             simulated = simulate(values['scenario'], values['seed'])
-            self._frames, self._stamps = simulated.frames, simulated.stamps
-            self._truth, self._shape = simulated.truth, simulated.frames.shape[1:]
-            self._title = f'scenario {values["scenario"]}, seed {values["seed"]}'
+            self._frames, self._title = simulated.frames, (
+                f'scenario {values["scenario"]}, seed {values["seed"]}')
+            self._stamps, self._truth = simulated.stamps, simulated.truth
+        self._frame_id = self._frame_id or 'camera'
         self._as_image = values['message'] == 'image'
-        self._original_stamps = values['original_stamps']
-        self._frame_id = values['frame_id'] or frame_id or 'camera'
-        self._wait_for_subscriber = values['wait_for_subscriber']
-        self._loop = values['loop']
-        self._exit_when_done = values['exit_when_done']
-        self._rate_hz = values['rate_hz']
         self._offsets = self._times_of_pass()
         # What cannot be sent is said at once, not in the middle of playing.
         conversions.sendable(self._frames[0])
@@ -160,21 +153,19 @@ class FramePublisherNode(ParameterizedNode):
 
     def _times_of_pass(self) -> NDArray[np.float64]:
         """Return when each frame is due, in seconds from the start of a pass."""
-        if self._rate_hz:
-            return np.arange(len(self._stamps)) / self._rate_hz
+        if self._values['rate_hz']:
+            return np.arange(len(self._stamps)) / self._values['rate_hz']
         return self._stamps - self._stamps[0]
 
     def _rate_text(self) -> str:
-        if self._rate_hz:
-            return f'{self._rate_hz:g} frames per second'
+        if self._values['rate_hz']:
+            return f'{self._values["rate_hz"]:g} frames per second'
         if self._recording is not None and not self._recording.stamps_known:
             return 'without stamps, so one frame per second (set rate_hz for another rate)'
-        duration = self._offsets[-1]
-        return f'over {duration:.2f} s as recorded'
+        return f'over {self._offsets[-1]:.2f} s as recorded'
 
     def _create_outputs(self) -> None:
-        values = self.values()
-        reliability = (QoSReliabilityPolicy.RELIABLE if values['reliable']
+        reliability = (QoSReliabilityPolicy.RELIABLE if self._values['reliable']
                        else QoSReliabilityPolicy.BEST_EFFORT)
         qos = QoSProfile(depth=OUTPUT_DEPTH, reliability=reliability,
                          durability=QoSDurabilityPolicy.VOLATILE)
@@ -201,7 +192,8 @@ class FramePublisherNode(ParameterizedNode):
             durability=QoSDurabilityPolicy.TRANSIENT_LOCAL))
 
     def _must_wait(self, now_s: float) -> bool:
-        if not self._wait_for_subscriber or self._frame_publisher.get_subscription_count():
+        waits = self._values['wait_for_subscriber']
+        if not waits or self._frame_publisher.get_subscription_count():
             return False
         if now_s - self._waiting_logged_s > WAITING_LOG_PERIOD_S:
             self._waiting_logged_s = now_s
@@ -212,7 +204,8 @@ class FramePublisherNode(ParameterizedNode):
     def _start_pass(self, now_s: float) -> None:
         self._pass_start_s = now_s
         start_s = 1e-9 * self.get_clock().now().nanoseconds + now_s - time.monotonic()
-        self._pass_stamps = self._stamps if self._original_stamps else start_s + self._offsets
+        self._pass_stamps = (self._stamps if self._values['original_stamps']
+                             else start_s + self._offsets)
         for rows in self._truth_rows:
             frames = rows[:, 0].astype(int)
             known = (frames >= 0) & (frames < len(self._stamps))
@@ -224,12 +217,12 @@ class FramePublisherNode(ParameterizedNode):
 
     def _end_pass(self) -> None:
         self._next = 0
-        if self._loop:
+        if self._values['loop']:
             # The first frame is due one interval after the last one.
             if len(self._offsets) > 1:
                 interval_s = float(np.median(np.diff(self._offsets)))
             else:
-                interval_s = 1.0 / (self._rate_hz or 1.0)
+                interval_s = 1.0 / (self._values['rate_hz'] or 1.0)
             self._pass_start_s += self._offsets[-1] + interval_s
             self._start_pass(self._pass_start_s)
             return
@@ -241,7 +234,7 @@ class FramePublisherNode(ParameterizedNode):
     @property
     def exits(self) -> bool:
         """Whether the process is to end now that everything was published."""
-        return self.finished and self._exit_when_done
+        return self.finished and self._values['exit_when_done']
 
     def _header(self, stamp_s: float) -> Header:
         return Header(stamp=conversions.time_from_seconds(float(stamp_s)),

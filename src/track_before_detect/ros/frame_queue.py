@@ -81,17 +81,7 @@ class Counters:
 
 @dataclass(frozen=True)
 class Work:
-    """The next thing to do: use other settings, search a frame, or flush; nothing after a pause.
-
-    Attributes
-    ----------
-    changes : tuple of DetectorOptions and StreamSettings, or None
-        To be used from now on.
-    frame : StreamFrame or None
-        The oldest one waiting.
-    flush : bool
-        Whether to search the frames that were in no batch yet.
-    """
+    """The next thing to do: use other settings, take a frame, or flush; nothing after a pause."""
 
     changes: tuple[DetectorOptions, StreamSettings] | None = None
     frame: StreamFrame | None = None
@@ -110,8 +100,6 @@ class FrameQueue:
 
     Attributes
     ----------
-    length : int
-        May be set at any time.
     counters : Counters
         ``received``, ``dropped`` and ``refused`` are counted here.
     closed : bool

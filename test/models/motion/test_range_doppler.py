@@ -177,7 +177,8 @@ def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
         false_alarm_rate=rate))
     stamps = np.arange(8.0)
     bound = detector.threshold(stamps, shape)
-    search = path_search(detector.graph(stamps, shape), detector.measurement, shape, detector.model)
+    search = path_search(detector.graph(stamps, shape), detector.measurement, shape,
+                         detector.model)
 
     def passes(generator):
         noise = generator.standard_normal((8, *shape), dtype=np.float32)

@@ -32,7 +32,8 @@ def test_dim_targets_of_constant_modulus_are_found_at_least_as_often_as_if_it_fl
         generator = np.random.default_rng(5)
         detector = ConvexDetector(DetectorOptions(
             amplitudes='complex', amplitude_model=model, threshold=1.0))
-        search = path_search(detector.graph(STAMPS, SHAPE), detector.measurement, SHAPE, detector.model)
+        search = path_search(detector.graph(STAMPS, SHAPE), detector.measurement, SHAPE,
+                             detector.model)
         noise, targets = (
             [search.best_value(scene(generator, tracks, 1.5)) for _ in range(n_runs)]
             for tracks in ([], [(8, 9, 0.6, 0.4)]))

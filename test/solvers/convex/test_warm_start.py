@@ -262,8 +262,8 @@ def test_a_stream_finds_what_batches_that_begin_with_nothing_find(name):
     first = ConvexDetector(DetectorOptions(**options)).detect(FrameBatch.of(frames[:T], TIMES))
     cold = ConvexDetector(DetectorOptions(**options)).detect(FrameBatch.of(frames[HOP:], TIMES))
     detector = ConvexDetector(DetectorOptions(**options))
-    detector.earlier = earlier_of([one.positions for one in first.found])
-    warm = detector.detect(FrameBatch.of(frames[HOP:], TIMES))
+    earlier = earlier_of([one.positions for one in first.found])
+    warm = detector.detect(FrameBatch.of(frames[HOP:], TIMES), earlier=earlier)
     assert len(cold.found) == len(warm.found) == 2
     for one, other in zip(cold.found, warm.found, strict=True):
         np.testing.assert_array_equal(np.isfinite(one.positions), np.isfinite(other.positions))

@@ -16,7 +16,7 @@ from track_before_detect.evaluation.engine.pictures import new_figure
 from track_before_detect.evaluation.engine.quantities import Quantity
 from track_before_detect.evaluation.engine.suite import SuiteResult
 from track_before_detect.evaluation.engine.tables import aligned
-from track_before_detect.recordings.writers import write_summary_json
+from track_before_detect.recordings.result_files import write_summary_json
 
 
 def require_matplotlib() -> None:

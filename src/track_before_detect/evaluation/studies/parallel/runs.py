@@ -81,7 +81,8 @@ def _search(name: str, frames: NDArray, threshold: float,
             ) -> tuple[Sequence[Track], Sequence[Search]]:
     """Return the tracks of a method and its searches, one for each direction."""
     detector = _detector(name)
-    search = TargetSearch(measure(frames, detector.psf), exclusion_levels(detector.psf), detector.merit)
+    search = TargetSearch(measure(frames, detector.psf), exclusion_levels(detector.psf),
+                          detector.merit)
     bound = detector.merit.bound(threshold, len(frames))
     # On one thread: other runs have the other cores.
     searches = search.run_parallel(

@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from track_before_detect.atomic_files import atomic_path
-from track_before_detect.recordings.writers import (
+from track_before_detect.recordings.npz import write_npz_recording
+from track_before_detect.recordings.result_files import (
     CSV_COLUMNS,
-    write_npz_recording,
     write_summary_json,
     write_trajectories_csv,
 )

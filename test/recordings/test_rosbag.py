@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import DataError
-from track_before_detect.recordings.readers import open_recording
+from track_before_detect.recordings.open_recording import open_recording
 
 pytest.importorskip('rosbags')
 from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: E402

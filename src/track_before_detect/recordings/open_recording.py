@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from track_before_detect.errors import DataError
-from track_before_detect.recordings.readers_images import (
+from track_before_detect.recordings.images import (
     FITS_SUFFIXES,
     IMAGE_SUFFIXES,
     open_fits,
@@ -14,11 +14,9 @@ from track_before_detect.recordings.readers_images import (
     open_tiff,
     TIFF_SUFFIXES,
 )
-from track_before_detect.recordings.readers_npz import open_npz
-from track_before_detect.recordings.readers_rosbag import BAG_SUFFIXES, find_bag, open_rosbag
+from track_before_detect.recordings.npz import open_npz
 from track_before_detect.recordings.recording import Recording
-
-__all__ = ['open_recording', 'Recording']
+from track_before_detect.recordings.rosbag import BAG_SUFFIXES, find_bag, open_rosbag
 
 SUPPORTED = ('.npz, a folder of images, multi-page .tif, .fits, or a rosbag2 (a folder, .db3 or '
              '.mcap)')

@@ -1,4 +1,4 @@
-"""Write trajectories, summaries and recordings, each file whole or not at all."""
+"""What a search leaves: trajectories as CSV, its summary as JSON, each whole or not at all."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import os
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from track_before_detect.atomic_files import atomic_path
 from track_before_detect.types import Trajectory
@@ -60,35 +59,15 @@ def write_summary_json(path: str | os.PathLike, mapping: Mapping[str, Any]) -> N
         partial.write_text(text + '\n', encoding='utf-8')
 
 
-def write_npz_recording(path: str | os.PathLike, frames: ArrayLike, stamps: ArrayLike,
-                        truth: ArrayLike | None = None) -> None:
-    """Write a recording that :func:`~.readers.open_recording` reads.
-
-    Parameters
-    ----------
-    path : path
-        Ends with ``.npz``.
-    frames : array, shape (T, H, W)
-    stamps : array, shape (T,)
-        Seconds.
-    truth : array, shape (N, 4), optional
-        Rows [frame, id, x, y].
-    """
-    rows = np.zeros((0, 4)) if truth is None else np.asarray(truth)
-    with atomic_path(path) as partial, open(partial, 'wb') as file:
-        # Noise hardly compresses, and stored frames are read much faster.
-        np.savez(file, frames=np.asarray(frames), stamps=np.asarray(stamps), truth=rows)
-
-
-def _fixed(value, digits):
+def _fixed(value: float, digits: int) -> str:
     return f'{value:.{digits}f}' if math.isfinite(value) else ''
 
 
-def _significant(value):
+def _significant(value: float) -> str:
     return f'{value:.6g}' if math.isfinite(value) else ''
 
 
-def _plain(value):
+def _plain(value: Any) -> Any:
     """Return ``value`` in types JSON knows."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}

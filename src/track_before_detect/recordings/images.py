@@ -5,12 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 import re
 import struct
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, MissingExtraError
 from track_before_detect.recordings.encodings import luminance
+from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
 
 TIFF_SUFFIXES = ('.tif', '.tiff')
@@ -44,12 +47,11 @@ def natural_key(file: Path) -> tuple[list[tuple[int, str]], str]:
 class _FolderSource:
     """Reads one file per frame."""
 
-    def __init__(self, files):
+    def __init__(self, files: list[Path]) -> None:
         self._files = files
 
     def read(self, index: int) -> NDArray:
-        file = self._files[index]
-        return read_image(file)
+        return read_image(self._files[index])
 
     def close(self) -> None:
         pass
@@ -68,35 +70,28 @@ def read_image(file: Path) -> NDArray:
     return read(file)
 
 
-def _read_pillow_image(file):
+def _read_pillow_image(file: Path) -> NDArray:
     try:
         from PIL import Image
     except ImportError as error:
         raise _missing('Pillow', 'images') from error
-    try:
-        with Image.open(file) as image:
-            if image.mode in ('1', 'LA', 'La'):
-                return np.array(image.convert('L'))
-            if image.mode in _GREY_PILLOW_MODES:
-                pixels = np.array(image)
-                return pixels.astype(pixels.dtype.newbyteorder('='), copy=False)
-            return luminance(np.asarray(image.convert('RGB')))
-    except _READ_ERRORS as error:
-        raise DataError(f'image {file} cannot be read: {error}') from error
+    with read_errors(f'image {file} cannot be read', _READ_ERRORS), Image.open(file) as image:
+        if image.mode in ('1', 'LA', 'La'):
+            return np.array(image.convert('L'))
+        if image.mode in _GREY_PILLOW_MODES:
+            pixels = np.array(image)
+            return pixels.astype(pixels.dtype.newbyteorder('='), copy=False)
+        return luminance(np.asarray(image.convert('RGB')))
 
 
-def _read_tiff_image(file):
+def _read_tiff_image(file: Path) -> NDArray:
     tifffile = _import_tifffile()
-    try:
-        with tifffile.TiffFile(file) as tiff:
-            return _page_frame(file, tiff.pages[0])
-    except DataError:
-        raise
-    except (*_READ_ERRORS, tifffile.TiffFileError) as error:
-        raise DataError(f'image {file} cannot be read: {error}') from error
+    with (read_errors(f'image {file} cannot be read', (*_READ_ERRORS, tifffile.TiffFileError)),
+          tifffile.TiffFile(file) as tiff):
+        return _page_frame(file, tiff.pages[0])
 
 
-def _page_frame(path, page):
+def _page_frame(path: Path, page: Any) -> NDArray:
     """Return one page of a TIFF file as a frame."""
     pixels = page.asarray()
     if page.axes == 'YX':
@@ -115,21 +110,14 @@ def _page_frame(path, page):
 def open_tiff(path: Path) -> Recording:
     """Open a TIFF file in which every page is a frame."""
     tifffile = _import_tifffile()
-    try:
+    errors = (*_READ_ERRORS, tifffile.TiffFileError)
+    with read_errors(f'{path} is not a complete TIFF file', errors):
         tiff = tifffile.TiffFile(path)
-    except (*_READ_ERRORS, tifffile.TiffFileError) as error:
-        raise DataError(f'{path} is not a complete TIFF file: {error}') from error
-    try:
+    with closed_on_error(tiff), read_errors(f'{path} cannot be read', errors):
         return _open_tiff(path, tiff, tifffile)
-    except DataError:
-        tiff.close()
-        raise
-    except (*_READ_ERRORS, tifffile.TiffFileError) as error:
-        tiff.close()
-        raise DataError(f'{path} cannot be read: {error}') from error
 
 
-def _open_tiff(path, tiff, tifffile):
+def _open_tiff(path: Path, tiff: Any, tifffile: ModuleType) -> Recording:
     n_pages = len(tiff.pages)
     if n_pages == 0:
         raise DataError(f'{path} holds no pages')
@@ -151,18 +139,14 @@ def _open_tiff(path, tiff, tifffile):
 class _TiffSource:
     """Reads one page per frame."""
 
-    def __init__(self, path, tiff, tifffile):
+    def __init__(self, path: Path, tiff: Any, tifffile: ModuleType) -> None:
         self._path = path
         self._tiff = tiff
         self._errors = (*_READ_ERRORS, tifffile.TiffFileError)
 
     def read(self, index: int) -> NDArray:
-        try:
+        with read_errors(f'page {index} of {self._path} cannot be read', self._errors):
             return _page_frame(self._path, self._tiff.pages[index])
-        except DataError:
-            raise
-        except self._errors as error:
-            raise DataError(f'page {index} of {self._path} cannot be read: {error}') from error
 
     def close(self) -> None:
         self._tiff.close()
@@ -171,7 +155,7 @@ class _TiffSource:
 class _VolumeSource:
     """Copies frames out of an array in a mapped file."""
 
-    def __init__(self, volume, file):
+    def __init__(self, volume: NDArray, file: Any) -> None:
         self._volume = volume
         self._file = file
 
@@ -190,12 +174,10 @@ def open_fits(path: Path) -> Recording:
         raise _missing('astropy', 'FITS files') from error
     if path.stat().st_size == 0:
         raise DataError(f'{path} is empty')
-    try:
+    with read_errors(f'{path} is not a FITS file', _READ_ERRORS):
         # Sections are read from the file by themselves; scaled ones could not be mapped.
         units = fits.open(path, memmap=False)
-    except _READ_ERRORS as error:
-        raise DataError(f'{path} is not a FITS file: {error}') from error
-    try:
+    with closed_on_error(units), read_errors(f'{path} cannot be read', _READ_ERRORS):
         found = []
         for unit in units:
             shape: tuple[int, ...] = unit.shape if unit.is_image else ()
@@ -208,35 +190,27 @@ def open_fits(path: Path) -> Recording:
         raise DataError(
             f'{path} must hold an image of three axes (T, H, W), found '
             f'{", ".join(found) or "no image"}')
-    except DataError:
-        units.close()
-        raise
-    except _READ_ERRORS as error:
-        units.close()
-        raise DataError(f'{path} cannot be read: {error}') from error
 
 
 class _FitsSource:
     """Reads one plane of a cube per frame."""
 
-    def __init__(self, path, units, unit):
+    def __init__(self, path: Path, units: Any, unit: Any) -> None:
         self._path = path
         self._units = units
         self._unit = unit
 
     def read(self, index: int) -> NDArray:
-        try:
+        with read_errors(f'frame {index} of {self._path} cannot be read', _READ_ERRORS):
             # Sections apply BSCALE and BZERO to what is read alone.
             plane = np.asarray(self._unit.section[index, :, :])
-        except _READ_ERRORS as error:
-            raise DataError(f'frame {index} of {self._path} cannot be read: {error}') from error
         return np.array(plane, plane.dtype.newbyteorder('='))
 
     def close(self) -> None:
         self._units.close()
 
 
-def _import_tifffile():
+def _import_tifffile() -> ModuleType:
     try:
         import tifffile
     except ImportError as error:
@@ -244,6 +218,6 @@ def _import_tifffile():
     return tifffile
 
 
-def _missing(package, what):
+def _missing(package: str, what: str) -> MissingExtraError:
     return MissingExtraError(
         f"reading {what} needs {package}: pip install 'track_before_detect[readers]'")

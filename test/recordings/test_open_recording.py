@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import DataError
-from track_before_detect.recordings.readers import open_recording
-from track_before_detect.recordings.readers_images import natural_key
+from track_before_detect.recordings.images import natural_key
+from track_before_detect.recordings.npz import write_npz_recording
+from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.recordings.recording import CACHE_BYTES, Recording
-from track_before_detect.recordings.writers import write_npz_recording
 
 RNG = np.random.default_rng(20)
 FRAMES = RNG.normal(100, 30, (5, 7, 6))

@@ -1,16 +1,20 @@
-"""Recordings in NumPy archives."""
+"""Recordings in NumPy archives, read and written."""
 
 from __future__ import annotations
 
 import math
+import os
 from pathlib import Path
+from typing import IO
 import zipfile
 import zlib
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from track_before_detect.atomic_files import atomic_path
 from track_before_detect.errors import DataError
+from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
 
 # What damaged or foreign archives raise in zipfile, zlib and numpy.lib.format.
@@ -23,36 +27,41 @@ def open_npz(path: Path) -> Recording:
     """Open an archive with ``frames`` (T, H, W) and optional ``stamps``, ``fps``, ``truth``."""
     if path.stat().st_size == 0:
         raise DataError(f'{path} is empty')
-    try:
+    with read_errors(f'{path} is not a complete .npz archive', _READ_ERRORS):
         archive = zipfile.ZipFile(path)
-    except _READ_ERRORS as error:
-        raise DataError(f'{path} is not a complete .npz archive: {error}') from error
-    try:
-        return _open_archive(path, archive)
-    except BaseException:
-        archive.close()
-        raise
+    with closed_on_error(archive):
+        names = {name[:-4] for name in archive.namelist() if name.endswith('.npy')}
+        if 'frames' not in names:
+            found = ', '.join(sorted(names)) or 'no arrays'
+            raise DataError(f"{path} must hold an array 'frames' (T, H, W), found {found}")
+        with read_errors(f"array 'frames' of {path} cannot be read", _READ_ERRORS):
+            source = _NpzSource(path, archive)
+        with closed_on_error(source):
+            return _recording(path, archive, names, source)
 
 
-def _open_archive(path, archive):
-    names = {name[:-4] for name in archive.namelist() if name.endswith('.npy')}
-    if 'frames' not in names:
-        found = ', '.join(sorted(names)) or 'no arrays'
-        raise DataError(f"{path} must hold an array 'frames' (T, H, W), found {found}")
-    try:
-        source = _NpzSource(path, archive)
-    except DataError:
-        raise
-    except _READ_ERRORS as error:
-        raise DataError(f"array 'frames' of {path} cannot be read: {error}") from error
-    try:
-        return _recording(path, archive, names, source)
-    except BaseException:
-        source.close()
-        raise
+def write_npz_recording(path: str | os.PathLike, frames: ArrayLike, stamps: ArrayLike,
+                        truth: ArrayLike | None = None) -> None:
+    """Write a recording that :func:`~.open_recording.open_recording` reads.
+
+    Parameters
+    ----------
+    path : path
+        Ends with ``.npz``.
+    frames : array, shape (T, H, W)
+    stamps : array, shape (T,)
+        Seconds.
+    truth : array, shape (N, 4), optional
+        Rows [frame, id, x, y].
+    """
+    rows = np.zeros((0, 4)) if truth is None else np.asarray(truth)
+    with atomic_path(path) as partial, open(partial, 'wb') as file:
+        # Noise hardly compresses, and stored frames are read much faster.
+        np.savez(file, frames=np.asarray(frames), stamps=np.asarray(stamps), truth=rows)
 
 
-def _recording(path, archive, names, source):
+def _recording(path: Path, archive: zipfile.ZipFile, names: set[str],
+               source: _NpzSource) -> Recording:
     n_frames, height, width = source.shape
     stamps = None
     if 'stamps' in names:
@@ -67,34 +76,27 @@ def _recording(path, archive, names, source):
     return Recording(path.name, (height, width), source.dtype, n_frames, source, stamps, truth)
 
 
-def _small_array(path, archive, name):
+def _small_array(path: Path, archive: zipfile.ZipFile, name: str) -> NDArray:
     """Return a whole array of the archive."""
-    try:
-        with archive.open(f'{name}.npy') as file:
-            shape, _, dtype = _read_header(file)
-            _check_size(path, archive, name, shape, dtype, file.tell())
-            file.seek(0)
-            return np.lib.format.read_array(file, allow_pickle=False)
-    except DataError:
-        raise
-    except _READ_ERRORS as error:
-        raise DataError(f'array {name!r} of {path} cannot be read: {error}') from error
+    with (read_errors(f'array {name!r} of {path} cannot be read', _READ_ERRORS),
+          archive.open(f'{name}.npy') as file):
+        shape, _, dtype = _read_header(file)
+        _check_size(path, archive, name, shape, dtype, file.tell())
+        file.seek(0)
+        return np.lib.format.read_array(file, allow_pickle=False)
 
 
 class _NpzSource:
     """Streams the array ``frames`` forwards; a step back opens the member again."""
 
-    def __init__(self, path, archive):
+    def __init__(self, path: Path, archive: zipfile.ZipFile) -> None:
         self._path = path
         self._archive = archive
         self._member = archive.open('frames.npy')
-        try:
+        with closed_on_error(self._member):
             self._read_layout()
-        except BaseException:
-            self._member.close()
-            raise
 
-    def _read_layout(self):
+    def _read_layout(self) -> None:
         self.shape, fortran_order, self.dtype = _read_header(self._member)
         path = self._path
         if self.dtype.hasobject or self.dtype.kind not in 'iufc':
@@ -106,7 +108,7 @@ class _NpzSource:
                 f"array 'frames' of {path} must be (T, H, W), got {what} of shape {self.shape}")
         _check_size(path, self._archive, 'frames', self.shape, self.dtype, self._member.tell())
         self._next = 0
-        self._whole = None
+        self._whole: NDArray | None = None
         if fortran_order:
             # Here a frame is scattered over the whole file.
             self._whole = _small_array(path, self._archive, 'frames')
@@ -115,7 +117,7 @@ class _NpzSource:
         if self._whole is not None:
             return np.array(self._whole[index], order='C')
         n_bytes = self.shape[1] * self.shape[2] * self.dtype.itemsize
-        try:
+        with read_errors(f'frame {index} of {self._path} cannot be read', _READ_ERRORS):
             if index < self._next:
                 self._member.close()
                 self._member = self._archive.open('frames.npy')
@@ -123,13 +125,11 @@ class _NpzSource:
                 self._next = 0
             self._skip((index - self._next) * n_bytes)
             data = _read_exactly(self._member, n_bytes)
-        except _READ_ERRORS as error:
-            raise DataError(f'frame {index} of {self._path} cannot be read: {error}') from error
         self._next = index + 1
         return np.frombuffer(data, self.dtype).reshape(self.shape[1:]).astype(
             self.dtype.newbyteorder('='))
 
-    def _skip(self, n_bytes):
+    def _skip(self, n_bytes: int) -> None:
         while n_bytes > 0:
             n_bytes -= len(_read_exactly(self._member, min(n_bytes, _SKIP_BYTES)))
 
@@ -138,7 +138,7 @@ class _NpzSource:
         self._archive.close()
 
 
-def _read_header(file):
+def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     """Return shape, Fortran order and type of the array that starts here."""
     version = np.lib.format.read_magic(file)
     if version == (1, 0):
@@ -148,7 +148,8 @@ def _read_header(file):
     raise DataError(f'.npy format version {version[0]}.{version[1]} is not for plain numbers')
 
 
-def _check_size(path, archive, name, shape, dtype, header_bytes):
+def _check_size(path: Path, archive: zipfile.ZipFile, name: str, shape: tuple[int, ...],
+                dtype: np.dtype, header_bytes: int) -> None:
     """Refuse an array that its member does not hold, before memory is asked for it."""
     n_bytes = math.prod(shape) * dtype.itemsize
     held = archive.getinfo(f'{name}.npy').file_size - header_bytes
@@ -158,7 +159,7 @@ def _check_size(path, archive, name, shape, dtype, header_bytes):
             f'bytes, got {held}')
 
 
-def _read_exactly(file, n_bytes):
+def _read_exactly(file: IO[bytes], n_bytes: int) -> bytes:
     """Return ``n_bytes`` bytes; the archive ending before is an error."""
     parts = []
     missing = n_bytes

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, MissingExtraError
 from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
+from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
 
 BAG_SUFFIXES = ('.db3', '.mcap')
 IMAGE_TYPE = 'sensor_msgs/msg/Image'
 ARRAY_TYPE = 'std_msgs/msg/Float32MultiArray'
 _TYPES = (IMAGE_TYPE, ARRAY_TYPE)
+# The bag library lets errors of sqlite, compression and YAML through.
+_READ_ERRORS = (Exception,)
 
 
 def find_bag(folder: Path) -> Path | None:
@@ -47,22 +52,16 @@ def open_rosbag(path: Path, topic: str | None = None) -> Recording:
             "reading bags needs rosbags: pip install 'track_before_detect[readers]'") from error
     if path.is_file() and path.stat().st_size == 0:
         raise DataError(f'{path} is empty')
-    # The bag library lets errors of sqlite, compression and YAML through, hence Exception.
-    try:
+    with read_errors(f'bag {path} cannot be opened', _READ_ERRORS):
         reader = Reader(path)
         reader.open()
-    except Exception as error:
-        raise DataError(f'bag {path} cannot be opened: {_reason(error)}') from error
-    try:
+    with closed_on_error(reader):
         connections = _choose_topic(path, reader.connections, topic)
         source = _BagSource(path, reader, connections, get_typestore(Stores.ROS2_JAZZY))
         return source.scan()
-    except BaseException:
-        reader.close()
-        raise
 
 
-def _choose_topic(path, connections, topic):
+def _choose_topic(path: Path, connections: Iterable[Any], topic: str | None) -> list[Any]:
     """Return the connections of the topic to read."""
     suitable = sorted({c.topic for c in connections if c.msgtype in _TYPES and c.msgcount})
     listed = ', '.join(suitable) or 'none'
@@ -86,13 +85,13 @@ def _choose_topic(path, connections, topic):
 class _BagSource:
     """Reads messages forwards; a jump starts again at the time of the frame wanted."""
 
-    def __init__(self, path, reader, connections, typestore):
+    def __init__(self, path: Path, reader: Any, connections: list[Any], typestore: Any) -> None:
         self._path = path
         self._reader = reader
         self._connections = connections
         self._typestore = typestore
-        self._received = []
-        self._messages = iter(())
+        self._received: list[int] = []
+        self._messages: Iterator[tuple[Any, int, bytes]] = iter(())
         self._next = -1
 
     def scan(self) -> Recording:
@@ -128,7 +127,7 @@ class _BagSource:
             return self._decode(index, message)
         raise DataError(f'message {index} of {self._path} has disappeared')
 
-    def _start(self, index):
+    def _start(self, index: int) -> None:
         """Let the next message be number ``index``."""
         if not self._received:
             self._messages = self._reader.messages(self._connections)
@@ -139,20 +138,17 @@ class _BagSource:
         for _ in range(index - self._received.index(time)):
             next(self._messages)
 
-    def _iterate(self):
+    def _iterate(self) -> Iterator[tuple[int, Any]]:
         while True:
-            try:
+            with read_errors(f'bag {self._path} cannot be read to the end', _READ_ERRORS):
                 item = next(self._messages, None)
                 if item is None:
                     return
                 connection, received, raw = item
                 message = self._typestore.deserialize_cdr(raw, connection.msgtype)
-            except Exception as error:
-                raise DataError(
-                    f'bag {self._path} cannot be read to the end: {_reason(error)}') from error
             yield received, message
 
-    def _decode(self, index, message):
+    def _decode(self, index: int, message: Any) -> NDArray:
         try:
             if hasattr(message, 'encoding'):
                 return decode_image(message.data, message.encoding, message.height,
@@ -167,8 +163,3 @@ class _BagSource:
         self._messages = iter(())
         if self._reader.is_open:
             self._reader.close()
-
-
-def _reason(error):
-    """Return the first line of what an error says, or its name."""
-    return (str(error).strip() or type(error).__name__).splitlines()[0]

@@ -1,0 +1,39 @@
+"""What libraries raise about damaged files becomes one sentence, and nothing stays open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from track_before_detect.errors import DataError
+
+
+class Closable(Protocol):
+    """A file, or what reads from one."""
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+@contextmanager
+def read_errors(message: str, errors: tuple[type[Exception], ...]) -> Iterator[None]:
+    """Raise DataError, beginning with a message, for the errors of a library."""
+    try:
+        yield
+    except DataError:
+        raise
+    except errors as error:
+        # The first line says what is wrong; an error without words has a name at least.
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise DataError(f'{message}: {reason}') from error
+
+
+@contextmanager
+def closed_on_error(file: Closable) -> Iterator[None]:
+    """Close a file when the block does not end well."""
+    try:
+        yield
+    except BaseException:
+        file.close()
+        raise
