@@ -287,7 +287,7 @@ def merit_of_pixel(psi, phi, squared, signed):
     return (max(h, 0) if not signed else h)**2 if squared else h
 
 
-def cancelled_targets(psi, phi, weights, stamp, cores, squared, signed, sets, bound):
+def cancelled_targets(psi, phi, weights, stamp, exclusion, squared, signed, sets, bound):
     """Return (path, statistics, merit) of target after target, all computed again each time."""
     psi, phi = np.array(psi, float), np.array(phi, float)
     n_frames, height, width = phi.shape
@@ -327,7 +327,7 @@ def cancelled_targets(psi, phi, weights, stamp, cores, squared, signed, sets, bo
             share = phi[t].copy()
             for v in range(max(0, y - 2 * half), min(height, y + 2 * half + 1)):
                 for u in range(max(0, x - 2 * half), min(width, x + 2 * half + 1)):
-                    if np.linalg.norm(seen[:, t]) > cores[v - y + 2 * half, u - x + 2 * half]:
+                    if np.linalg.norm(seen[:, t]) > exclusion[v - y + 2 * half, u - x + 2 * half]:
                         share[v, u] = 0
             phi[t] = share
         found.append((np.array(path), seen, value))

@@ -7,7 +7,7 @@ import naive
 from track_before_detect.kernels import transition_dp
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.transition_sets import directional_sets, transition_sets
-from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
+from track_before_detect.solvers.pixel_statistics import exclusion_levels, measure, Merit
 
 SETS = [
     pytest.param([1] * 5, 1, id='9'), pytest.param([2] * 5, 1, id='25'),
@@ -76,14 +76,14 @@ def test_targets_equal_those_of_computing_everything_again(merit, is_complex, si
     bound = {(0.3, True): 60.0, (0.3, False): 14.0, (1.0, True): 25.0, (1.0, False): 8.0}[
         sigma, merit.squared]
     expected = naive.cancelled_targets(
-        data.psi, data.phi, data.weights, data.stamp, cores(psf), merit.squared, merit.signed,
-        in_order(sets), bound)
+        data.psi, data.phi, data.weights, data.stamp, exclusion_levels(psf), merit.squared,
+        merit.signed, in_order(sets), bound)
     paths = np.empty((50, 5, 2), np.int32)
     seen = np.empty((50, len(data.psi), 5), np.float32)
     values = np.empty(50, np.float32)
     n, left, _ = transition_dp.find_targets(
-        data.psi, data.phi, data.weights, data.stamp, cores(psf), merit.squared, merit.signed,
-        data.scores(merit), np.empty(shape, np.float32), np.zeros_like(data.psi),
+        data.psi, data.phi, data.weights, data.stamp, exclusion_levels(psf), merit.squared,
+        merit.signed, data.scores(merit), np.empty(shape, np.float32), np.zeros_like(data.psi),
         np.zeros(shape, bool), sets.rows, sets.row_first, sets.sets, np.float32(bound), paths,
         seen, values)
     assert n == len(expected) > 0

@@ -19,7 +19,7 @@ weights : float32 (T, H, W), (1, H, W) or (0, 0, 0)
     Scale of each pixel, zero where masked; of no frames where it is one.
 stamp : float32 (K, K)
     The PSF, K odd.
-cores : float32 (2 K - 1, 2 K - 1)
+exclusion : float32 (2 K - 1, 2 K - 1)
     Largest statistic of a target in the middle that leaves each pixel in use.
 
 The loops over x are small functions of their own because written into the nest they are not
@@ -30,10 +30,11 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.compile_flags import FUSED_UNCHECKED
+from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
 
 ABSENT = np.float32(-1e30)
 # Part of the PSF that border and mask have to leave for a pixel to be searched.
-LEAST_PHI = np.float32(1e-3)
+LEAST_PHI = np.float32(LEAST_SHARE)
 
 _U = np.uint64
 
@@ -305,7 +306,7 @@ def _score_again(scores, psi, taken, spoilt, phi, t, box, squared, signed):
 
 
 @numba.njit(**FUSED_UNCHECKED)
-def _cancel_in_frame(psi, taken, spoilt, phi, weights, stamp, cores, t, y, x, seen):
+def _cancel_in_frame(psi, taken, spoilt, phi, weights, stamp, exclusion, t, y, x, seen):
     """Subtract the target at pixel (x, y) of frame t, and end the use of the pixels it spoils.
 
     What a target adds to psi of other pixels follows from its fit in this pixel. Rounding to whole
@@ -338,7 +339,7 @@ def _cancel_in_frame(psi, taken, spoilt, phi, weights, stamp, cores, t, y, x, se
                     common += product
             for c in range(psi.shape[0]):
                 taken[c, t, v, u] += seen[c] / np.sqrt(share) * common
-            if size > cores[v - y + 2 * half, u - x + 2 * half]:
+            if size > exclusion[v - y + 2 * half, u - x + 2 * half]:
                 spoilt[t, v, u] = True
 
 
@@ -360,8 +361,8 @@ def _largest_of_rows(merit, largest, first_row, last_row):
 
 
 @numba.njit(**FUSED_UNCHECKED)
-def find_targets(psi, phi, weights, stamp, cores, squared, signed, scores, merit, taken, spoilt,
-                 rows, row_first, sets, bound, paths, seen, values):
+def find_targets(psi, phi, weights, stamp, exclusion, squared, signed, scores, merit, taken,
+                 spoilt, rows, row_first, sets, bound, paths, seen, values):
     """Find target after target: the best path, its cancellation, the merit function again.
 
     ``scores`` are changed; ``merit`` is room to work in, and so are ``taken`` (as psi), what was
@@ -392,7 +393,7 @@ def find_targets(psi, phi, weights, stamp, cores, squared, signed, scores, merit
         values[found] = value
         for t in range(n_frames):
             x, y = paths[found, t, 0], paths[found, t, 1]
-            _cancel_in_frame(psi, taken, spoilt, phi, weights, stamp, cores, t, y, x,
+            _cancel_in_frame(psi, taken, spoilt, phi, weights, stamp, exclusion, t, y, x,
                              seen[found, :, t])
             boxes[t, 0], boxes[t, 1] = max(0, y - 2 * half), min(n_y, y + 2 * half + 1)
             boxes[t, 2], boxes[t, 3] = max(0, x - 2 * half), min(n_x, x + 2 * half + 1)

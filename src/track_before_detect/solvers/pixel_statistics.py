@@ -110,7 +110,7 @@ def measure(frames: NDArray, psf: Psf, weights: NDArray | None = None) -> Measur
     return Measurements(psi, np.ascontiguousarray(phi), weights, stamp.astype(np.float32))
 
 
-def cores(psf: Psf) -> NDArray[np.float32]:
+def exclusion_levels(psf: Psf) -> NDArray[np.float32]:
     """Return the largest statistic of a target that leaves each pixel around it in use.
 
     A target half a pixel off in x and y has an amplitude fitted in the middle of its pixel; what
@@ -136,7 +136,7 @@ def cores(psf: Psf) -> NDArray[np.float32]:
     return np.where(overlap > SAME_POSITION, -1.0, 1 / np.maximum(left, 1e-9)).astype(np.float32)
 
 
-def _overlaps(one, other):
+def _overlaps(one: NDArray, other: NDArray) -> NDArray[np.float64]:
     """Return the inner products of two stamps of K x K pixels for all shifts that they meet in."""
     side = 2 * len(one) - 1
     # As scipy.signal does; to import it and scipy.stats took two fifths of the start of a node.
@@ -145,14 +145,14 @@ def _overlaps(one, other):
     return fft.irfft2(product, shape)[:side, :side]
 
 
-def _half_width(psf):
+def _half_width(psf: Psf) -> int:
     """Return how far from the middle the stamp is more than its faint rim."""
     stamp = np.abs(_stamp(psf, 0.0, 0.0, psf.half_width))
     bright = np.argwhere(stamp > LEAST_OF_PEAK * stamp.max()) - psf.half_width
     return int(np.abs(bright).max())
 
 
-def _stamp(psf, phase_y, phase_x, half):
+def _stamp(psf: Psf, phase_y: float, phase_x: float, half: int) -> NDArray[np.float64]:
     """Return the unit-norm PSF around a position between the pixels, cut to a half width."""
     rows, columns = psf.profiles(0, phase_y)[0], psf.profiles(1, phase_x)[0]
     kept = slice(psf.half_width - half, psf.half_width + half + 1)
@@ -160,7 +160,7 @@ def _stamp(psf, phase_y, phase_x, half):
     return stamp / np.linalg.norm(stamp)
 
 
-def _components(psf):
+def _components(psf: Psf) -> NDArray[np.float64]:
     """Return profiles (C, 2, K) in y and in x whose products add up to the unit-norm stamp."""
     half, rank = _half_width(psf), psf.filter_rank
     kept = slice(psf.half_width - half, psf.half_width + half + 1)
@@ -169,12 +169,12 @@ def _components(psf):
     return taps
 
 
-def _squared(taps):
+def _squared(taps: NDArray) -> NDArray[np.float64]:
     """Return the components of the square of the stamp: the products of all pairs."""
     return (taps[:, None] * taps[None]).reshape(-1, *taps.shape[1:])
 
 
-def _correlate(frames, taps):
+def _correlate(frames: NDArray, taps: NDArray) -> NDArray[np.float32]:
     """Return the correlation of each frame with a sum of separable components."""
     out = np.empty(frames.shape, np.float32)
     ones_y, ones_x = np.ones(frames.shape[1], np.float32), np.ones(frames.shape[2], np.float32)

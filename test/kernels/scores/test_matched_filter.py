@@ -1,5 +1,6 @@
 """The fine matched filter equals one stamp at a time, and has unit variance everywhere."""
 
+import numba
 import numpy as np
 import pytest
 
@@ -22,6 +23,8 @@ PSFS = {
     'array': ArrayPsf(np.add.outer(np.arange(5.0), np.arange(7.0)**2) + np.eye(5, 7, 1) * 9),
 }
 SHAPE = (13, 17)
+needs_thousands_of_frames = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT), reason='plain Python takes minutes over 4000 frames of noise')
 
 
 def scores_for(psf, shape, code=NON_NEGATIVE):
@@ -65,6 +68,7 @@ def test_scores_are_those_of_each_stamp(name, kind):
                 found[t], seen * (0.5 * norms * statistic - 0.25 * norms**2), atol=1e-2)
 
 
+@needs_thousands_of_frames
 @pytest.mark.parametrize('name', PSFS)
 @pytest.mark.parametrize('kind', ['none', 'mask', 'map'])
 def test_statistic_has_unit_variance_up_to_borders_and_masks(name, kind):
@@ -84,6 +88,7 @@ def test_statistic_has_unit_variance_up_to_borders_and_masks(name, kind):
     np.testing.assert_allclose(n_frames * constant.scores(frames)**2, found, rtol=1e-3, atol=1e-4)
 
 
+@needs_thousands_of_frames
 def test_complex_statistic_has_unit_power_up_to_borders():
     n_frames = 4000
     parts = np.random.default_rng(9).standard_normal((2, n_frames, *SHAPE)).astype(np.float32)

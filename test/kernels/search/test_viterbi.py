@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import numba
 import numpy as np
 import pytest
 
@@ -9,6 +10,10 @@ import naive
 from track_before_detect.kernels.search import viterbi as path_search
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.search.viterbi_table import ViterbiTable
+
+pytestmark = pytest.mark.skipif(
+    bool(numba.config.DISABLE_JIT),
+    reason='the recursion turns vectors and borrows arrays by intrinsics, which Python has not')
 
 
 def best_of(graph, scores):

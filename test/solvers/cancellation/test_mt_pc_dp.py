@@ -17,7 +17,7 @@ from track_before_detect.solvers.cancellation import target_cancellation
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
-from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
+from track_before_detect.solvers.pixel_statistics import exclusion_levels, measure, Merit
 
 DETECTORS = [pytest.param(MtDpDetector, id='mt_dp'), pytest.param(PcDpDetector, id='pc_dp')]
 NARROW = GaussianPsf(0.3)
@@ -25,7 +25,7 @@ STAMPS = np.arange(6.0)
 
 
 def search(frames, psf=NARROW, squared=True):
-    return TargetSearch(measure(frames, psf), cores(psf), Merit(squared))
+    return TargetSearch(measure(frames, psf), exclusion_levels(psf), Merit(squared))
 
 
 @pytest.mark.parametrize('n_directions', [1, 2, 3, 4, 6])

@@ -109,6 +109,18 @@ def test_statistic_has_unit_variance_under_masks_and_variance():
     assert np.std(h) == pytest.approx(1.0, abs=0.03)
 
 
+def test_grids_that_differ_after_four_frames_have_calibrations_of_their_own():
+    uneven = np.r_[0.0, 1, 2, 3, 4, 7, 7.2, 7.5, 8, 9, 10, 11]
+    grids = [detector().grid(stamps, (48, 56)) for stamps in (STAMPS, uneven)]
+    assert grids[0].moves.shape == grids[1].moves.shape
+    assert grids[0].moves.ravel()[:4].tolist() == grids[1].moves.ravel()[:4].tolist()
+    assert (grids[0].moves != grids[1].moves).any()
+    first, other = (detector().noise_study(stamps, (48, 56)).key for stamps in (STAMPS, uneven))
+    assert first != other
+    # Twice as fast at twice the rate is the same search.
+    assert detector(max_speed_px_s=2.0).noise_study(STAMPS / 2, (48, 56)).key == first
+
+
 def test_threshold_holds_the_false_alarm_rate_asked_for(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     monkeypatch.setattr('track_before_detect.solvers.calibration.threshold.MOST_CROPS', 500)

@@ -29,7 +29,7 @@ from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.transition_sets import directional_sets, TransitionSets
 from track_before_detect.solvers.calibration.threshold import noise_frames
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
-from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
+from track_before_detect.solvers.pixel_statistics import exclusion_levels, measure, Merit
 from track_before_detect.types import Progress
 
 SEED = 1
@@ -115,7 +115,7 @@ def measure_case(case: Case, repeats: int) -> dict[str, Any]:
 
 
 def _search(frames):
-    return TargetSearch(measure(frames, POINT), cores(POINT), MERIT)
+    return TargetSearch(measure(frames, POINT), exclusion_levels(POINT), MERIT)
 
 
 def _outcome(search, scene, parts, bound):

@@ -92,7 +92,7 @@ def directional_sets(reaches: Sequence[int] | NDArray,
               for part in parts]
     kept: list[int] = []
     for i, mine in enumerate(pixels):
-        def within(j, mine=mine):
+        def within(j: int, mine: list[set[tuple[int, int]]] = mine) -> bool:
             return all(a <= b for a, b in zip(mine, pixels[j], strict=True))
 
         later = any(within(j) and pixels[j] != mine for j in range(i + 1, len(parts)))
@@ -101,7 +101,7 @@ def directional_sets(reaches: Sequence[int] | NDArray,
     return [parts[i] for i in kept]
 
 
-def _rows_of(reach, direction, n_directions):
+def _rows_of(reach: int, direction: int, n_directions: int) -> list[tuple[int, int, int]]:
     """Return dy, first dx and last dx of each row, ordered so that equal dx stand together."""
     steps: dict[int, list[int]] = {0: [0]}
     for x in range(-reach, reach):
@@ -113,7 +113,7 @@ def _rows_of(reach, direction, n_directions):
     return sorted(rows, key=lambda row: (row[1:], row[0]))
 
 
-def _in_sector(x, y, direction, n_directions):
+def _in_sector(x: int, y: int, direction: int, n_directions: int) -> bool:
     """Whether velocities between (x, y) and (x + 1, y + 1) have directions within a sector."""
     width = 2 * math.pi / n_directions
     angles = [math.atan2(y + j, x + i) - direction * width

@@ -7,6 +7,7 @@ move by whole pixels, over one frame a half rounds either way.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 import itertools
 
 import numpy as np
@@ -87,7 +88,7 @@ def matching_bits(velocities: NDArray, v_max: int) -> tuple[NDArray, NDArray]:
     return np.array(needed, dtype), np.array(chosen, dtype)
 
 
-def _slowest_first(velocities):
+def _slowest_first(velocities: Iterable[tuple[int, ...]]) -> NDArray[np.int64]:
     """Sort, so that of candidates with equal value the slowest is taken."""
     ordered = sorted(velocities, key=lambda v: (v[0]**2 + v[1]**2, v[1], v[0]))
     return np.array(ordered, np.int64)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import hashlib
 import math
 
 import numpy as np
@@ -85,6 +86,12 @@ class VelocityGrid:
         """Distance of neighbouring velocities in pixels per second, 0 for a single one."""
         return float(self.axis[1] - self.axis[0]) if len(self.axis) > 1 else 0.0
 
+    @property
+    def key(self) -> str:
+        """Text that differs between grids that are searched differently."""
+        parts = (self.moves, self.first_vx, self.last_vx)
+        return hashlib.sha256(b''.join(part.tobytes() for part in parts)).hexdigest()[:32]
+
     def velocity(self, number: int) -> NDArray[np.float64]:
         """Return (v_x, v_y) of a velocity by its number in the compiled loop."""
         i, j = divmod(number, len(self.axis))
@@ -114,7 +121,7 @@ class VelocityGrid:
                 count += 1
         return shape[0] * shape[1] * total / (count * spread)
 
-    def _inside(self, length, number):
+    def _inside(self, length: int, number: NDArray) -> NDArray[np.float64]:
         """Return where on an axis and when lines are inside, by velocity, (V, N, T)."""
         n_positions = min(length, MOST_POSITIONS)
         middle = (np.arange(n_positions) + 0.5) * length / n_positions - 0.5
@@ -159,14 +166,14 @@ def stack_plan(moves: NDArray) -> StackPlan:
 class _Sums:
     """Sums of the rows of successive frames, shifted against each other."""
 
-    def __init__(self, n_frames):
+    def __init__(self, n_frames: int):
         self._n_frames = n_frames
         self.numbers: dict[tuple[int, tuple[int, ...]], int] = {}
         self.sources: list[tuple[int, int]] = []
         self.shifts: list[int] = []
         self.used: list[list[int]] = []
 
-    def number(self, first, pattern, shift):
+    def number(self, first: int, pattern: tuple[int, ...], shift: int) -> int:
         """Return the number of the sum of the frames from ``first`` on, used at a shift.
 
         ``pattern`` holds the shift of each frame against the first.
@@ -189,7 +196,7 @@ class _Sums:
         return self._n_frames + self.numbers[key]
 
 
-def _plan(moves, group):
+def _plan(moves: NDArray, group: int) -> StackPlan:
     """Return the plan with sums over at most about ``group`` frames."""
     n_frames = moves.shape[1]
     n_groups = max(1, round(n_frames / group))

@@ -12,7 +12,7 @@ no formula for V_DT. Ours is calibrated on noise like that of every other detect
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import math
 
 import numpy as np
@@ -35,7 +35,7 @@ from track_before_detect.solvers.cancellation.target_cancellation import (
     TargetSearch,
     Track,
 )
-from track_before_detect.solvers.pixel_statistics import cores, measure, Merit
+from track_before_detect.solvers.pixel_statistics import exclusion_levels, measure, Merit
 from track_before_detect.types import Progress, Step
 
 MOTIONS = ('nearly_constant_velocity', 'static')
@@ -77,7 +77,7 @@ class MtDpDetector(BatchDetector):
         self.merit = Merit(options.amplitude_model == 'fluctuating',
                            options.amplitudes == 'signed')
         self._complex = options.amplitudes == 'complex'
-        self._cores = cores(self.psf)
+        self._exclusion = exclusion_levels(self.psf)
 
     def transition_sets(self, stamps: NDArray) -> list[TransitionSets]:
         """Return the transition sets that are searched apart from each other."""
@@ -91,15 +91,15 @@ class MtDpDetector(BatchDetector):
         directions = self.transition_sets(stamps)
         reach = max(int(np.abs(sets.rows).max()) for sets in directions)
 
-        def searcher(crop):
-            def largest(generator):
+        def searcher(crop: tuple[int, int]) -> Callable[[np.random.Generator], float]:
+            def largest(generator: np.random.Generator) -> float:
                 noise = noise_frames(generator, (len(stamps), *crop), self._complex)
-                search = TargetSearch(measure(noise, self.psf), self._cores, self.merit)
+                search = TargetSearch(measure(noise, self.psf), self._exclusion, self.merit)
                 return self.merit.statistic(search.largest_merit(directions), len(stamps))
 
             return largest
 
-        def area(crop):
+        def area(crop: tuple[int, int]) -> float:
             return float(np.prod(np.maximum(np.array(crop) - reach, 0.5)))
 
         return NoiseStudy(
@@ -116,7 +116,7 @@ class MtDpDetector(BatchDetector):
         """Find the trajectories where the noise differs between pixels."""
         self.check_kind(frames)
         threshold = self.threshold(stamps, frames.shape[1:], progress)
-        search = TargetSearch(measure(frames, self.psf, weights), self._cores, self.merit)
+        search = TargetSearch(measure(frames, self.psf, weights), self._exclusion, self.merit)
         return self.solve(search, self.transition_sets(stamps), threshold, len(stamps))
 
     def solve(self, search: TargetSearch, directions: Sequence[TransitionSets],

@@ -75,15 +75,15 @@ class TargetSearch:
     ----------
     measurements : Measurements
         The frames.
-    cores : array, shape (2 K - 1, 2 K - 1)
+    exclusion : array, shape (2 K - 1, 2 K - 1)
         Largest statistic of a target in the middle pixel that leaves each pixel in use.
     merit : Merit
         What is added up.
     """
 
-    def __init__(self, measurements: Measurements, cores: NDArray, merit: Merit):
+    def __init__(self, measurements: Measurements, exclusion: NDArray, merit: Merit):
         self._measurements = measurements
-        self._cores = np.ascontiguousarray(cores, np.float32)
+        self._exclusion = np.ascontiguousarray(exclusion, np.float32)
         self._merit = merit
         self.scores = measurements.scores(merit)
 
@@ -103,8 +103,8 @@ class TargetSearch:
         seen = np.empty((MOST_TARGETS, len(data.psi), data.n_frames), np.float32)
         values = np.empty(MOST_TARGETS, np.float32)
         found, left, n_candidates = transition_dp.find_targets(
-            data.psi, data.phi, data.weights, data.stamp, self._cores, merit.squared, merit.signed,
-            scores, np.empty_like(scores), np.zeros(data.psi.shape, np.float32),
+            data.psi, data.phi, data.weights, data.stamp, self._exclusion, merit.squared,
+            merit.signed, scores, np.empty_like(scores), np.zeros(data.psi.shape, np.float32),
             np.zeros(data.phi.shape, bool), sets.rows, sets.row_first, sets.sets,
             np.float32(bound), paths, seen, values)
         parts = seen[:found].astype(float)
@@ -130,8 +130,7 @@ class TargetSearch:
         A track is one with the better ones where it coincides with them in more than half of its
         pixels. A search in a wrong direction also picks up single pixels of targets it cannot
         follow; so what is left of a track without them has to have more merit per pixel than the
-        threshold asks for. (With the first rule alone, which is the paper's, six targets at 12 dB
-        make 45 tracks.)
+        threshold asks for (docs/constants/cancellation.md).
         """
         tracks = sorted((track for search in searches for track in search.tracks),
                         key=lambda track: -track.value)
@@ -150,7 +149,7 @@ class TargetSearch:
                     merit[own].sum() * n_frames > bound * n_own):
                 continue
             kept.append(track)
-            self._apply_fit(taken, track)
+            self._mark(taken, track)
         return kept
 
     def amplitudes(self, track: Track) -> NDArray:
@@ -159,10 +158,10 @@ class TargetSearch:
         phi = self._measurements.phi[np.arange(len(x)), y, x]
         return np.where(track.seen != 0, track.seen / np.sqrt(np.maximum(phi, 1e-9)), 0)
 
-    def _apply_fit(self, taken, track):
+    def _mark(self, taken: NDArray, track: Track) -> None:
         """Mark the pixels that a track spoils for others."""
-        half = self._cores.shape[0] // 2
-        t, dy, dx = np.nonzero(np.abs(track.seen)[:, None, None] > self._cores)
+        half = self._exclusion.shape[0] // 2
+        t, dy, dx = np.nonzero(np.abs(track.seen)[:, None, None] > self._exclusion)
         x, y = (track.pixels[t] + np.stack([dx, dy], axis=1) - half).T
         inside = (x >= 0) & (x < taken.shape[2]) & (y >= 0) & (y < taken.shape[1])
         taken[t[inside], y[inside], x[inside]] = True

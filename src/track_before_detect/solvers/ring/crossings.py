@@ -39,7 +39,7 @@ def regularised(trajectories: Sequence[NDArray]) -> list[NDArray[np.float64]]:
     return regular
 
 
-def _meeting(one, other):
+def _meeting(one: NDArray, other: NDArray) -> int | None:
     """Return the frame in which two trajectories are closest; None where they never meet."""
     distances = np.linalg.norm(one[:, :2] - other[:, :2], axis=1)
     if np.isnan(distances).all():
@@ -48,7 +48,7 @@ def _meeting(one, other):
     return at if distances[at] < SEPARATION_PX else None
 
 
-def _swapped_fits_better(one, other, at):
+def _swapped_fits_better(one: NDArray, other: NDArray, at: int) -> bool:
     """Return whether E1 < E2 of Eq. 14 fails, the sums taken over frames that both are in."""
     n_frames = len(one)
     away = np.arange(1, min(FITTED_FRAMES, at, n_frames - 1 - at) + 1)
@@ -66,7 +66,7 @@ def _swapped_fits_better(one, other, at):
     return not kept < swapped
 
 
-def _line(times, positions, at):
+def _line(times: NDArray, positions: NDArray, at: NDArray) -> NDArray[np.float64]:
     """Return the straight line fitted to positions at times, at other times."""
     design = np.stack([np.ones(len(times)), times], axis=1)
     coefficients = np.linalg.lstsq(design, positions, rcond=None)[0]

@@ -35,7 +35,7 @@ class LinkedTrajectory:
 class _Open:
     """A trajectory that is being followed."""
 
-    def __init__(self, first_frame, points):
+    def __init__(self, first_frame: int, points: list[tuple[int, int]]):
         self.first_frame = first_frame
         self.points = points
         self.score = INITIAL * len(points)
@@ -97,15 +97,16 @@ def best_trajectory(coordinates: NDArray, v_max: int,
     return LinkedTrajectory(positions, best.score)
 
 
-def _predicted(points):
+def _predicted(points: list[tuple[int, int]]) -> tuple[int, int]:
     """Return the pixel that a straight line through the last points reaches next."""
     last = points[-FITTED_FRAMES:]
     weights = _WEIGHTS[len(last)]
-    return tuple(math.floor(sum(w * point[axis] for w, point in zip(weights, last, strict=True))
-                            + 0.5) for axis in (0, 1))
+    x, y = (math.floor(sum(w * point[axis] for w, point in zip(weights, last, strict=True)) + 0.5)
+            for axis in (0, 1))
+    return x, y
 
 
-def _extrapolation(n_points):
+def _extrapolation(n_points: int) -> tuple[float, ...]:
     """Weights with which ``n_points`` points make up the next one on their least-squares line."""
     ahead = np.arange(n_points) - (n_points - 1) / 2
     return tuple(1 / n_points + ahead * (n_points + 1) / 2 / np.sum(ahead**2))

@@ -8,6 +8,7 @@ what is accumulated along the trajectory, over the root of the number of frames.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 import itertools
 import math
 
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, ParameterError
+from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.velocity_candidates import (
     FASTEST_SECOND_ORDER,
@@ -32,6 +34,7 @@ from track_before_detect.solvers.calibration.threshold import NoiseStudy
 from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.ring.crossings import regularised
 from track_before_detect.solvers.ring.dynamic_programming import extracted
+from track_before_detect.solvers.ring.linking import LinkedTrajectory
 from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.types import Progress
 
@@ -40,14 +43,11 @@ LARGEST_JITTER = 0.25
 # Rounds of one batch: every round takes what it found out of the frames, but what it leaves of an
 # extremely bright target could be followed for long.
 MOST_ROUNDS = 1000
-# Squared norm that a mask leaves of the PSF, below which nothing is seen.
-LEAST_NORM_SQUARED = 1e-3
-# Standard deviations of the PSF from a found trajectory up to which the frames are filled. A
-# hundredth of the peak is left there: at an SNR of 30 it makes a second trajectory, while a wider
-# square would take more of a dim target's neighbour.
+# Standard deviations of the PSF from a found trajectory up to which the frames are filled
+# (docs/constants/ring.md).
 FILLED_SIGMAS = 3
-# CPU time of a look at noise, as measured: of a pixel of one frame, and of each line that a method
-# of second order tries there; the ring forms take more.
+# CPU seconds of a look at noise: of a pixel of one frame, and of each line that a method of second
+# order tries there; the ring forms take more (docs/constants/ring.md).
 SECONDS_PER_PIXEL = 3.5e-8
 SECONDS_PER_LINE = 9e-10
 RING_PASSES = 1.7
@@ -86,8 +86,8 @@ class MeritDetector(BatchDetector):
         """Return how to find the largest statistic in noise.
 
         Each round follows one maximum in each frame, wherever it is, so false trajectories are not
-        in proportion to the area. Between 64 x 64 and 256 x 256 pixels four times the area was
-        found to have at most about twice as many, so their number is taken to grow as its root.
+        in proportion to the area: their number is taken to grow as its root
+        (docs/constants/ring.md).
         """
         n_frames, v_max = len(stamps), self._v_max(stamps, shape)
         # Velocities of the first order are searched axis by axis, in no time.
@@ -95,8 +95,8 @@ class MeritDetector(BatchDetector):
         seconds_per_pixel = (SECONDS_PER_PIXEL + SECONDS_PER_LINE * n_lines
                              * (RING_PASSES if self._method.ring else 1.0))
 
-        def searcher(crop):
-            def largest(generator):
+        def searcher(crop: tuple[int, int]) -> Callable[[np.random.Generator], float]:
+            def largest(generator: np.random.Generator) -> float:
                 noise = generator.standard_normal((n_frames, *crop), dtype=np.float32)
                 rounds = self._rounds(noise, v_max, 1)
                 return max((_statistic(seen) for _, seen in itertools.islice(rounds, 1)),
@@ -142,11 +142,12 @@ class MeritDetector(BatchDetector):
         kept.sort(key=lambda one: -one.statistic)
         return BatchResult(kept, threshold, status, [], float('nan'))
 
-    def _rounds(self, frames, v_max, n_threads):
+    def _rounds(self, frames: NDArray, v_max: int,
+                n_threads: int) -> Iterator[tuple[LinkedTrajectory, NDArray[np.float64]]]:
         return extracted(frames, self._method.name, v_max, self.statistics, self._fill_radius,
                          n_threads)
 
-    def _v_max(self, stamps, shape):
+    def _v_max(self, stamps: NDArray, shape: tuple[int, int]) -> int:
         """Return the largest velocity in whole pixels per frame interval."""
         name = self._method.name
         # What rounding adds to a whole number is not a pixel more.
@@ -158,7 +159,7 @@ class MeritDetector(BatchDetector):
                 f'max_speed_px_s is {per_frame:.3g} pixels per interval')
         return v_max
 
-    def _places(self, frames, stamps):
+    def _places(self, frames: NDArray, stamps: NDArray) -> NDArray[np.int64]:
         """Return the number of each frame when dropped ones are counted, shape (T,)."""
         name = self._method.name
         if np.iscomplexobj(frames):
@@ -192,10 +193,10 @@ class MeritDetector(BatchDetector):
             Frames of unit noise; NaN where masked.
         """
         measured = measure(frames, self._psf)
-        seen = measured.phi > LEAST_NORM_SQUARED
+        seen = measured.phi > LEAST_SHARE
         return np.where(seen, measured.psi[0] / np.sqrt(np.where(seen, measured.phi, 1)), 0)
 
 
-def _statistic(seen):
+def _statistic(seen: NDArray) -> float:
     """Return the sum of what is seen (T,) along a trajectory over the root of T."""
     return max(float(np.nansum(seen)), 0.0) / math.sqrt(len(seen))

@@ -25,6 +25,7 @@ its fourth frame (beyond its first for the first order).
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -45,6 +46,9 @@ from track_before_detect.models.motion.velocity_candidates import (
 # band may compute a second time because of it.
 MOST_FRAMES_IN_BLOCK = 8
 REPEATED_ROWS = 0.1
+
+# Called with the first frame, the number of frames, the first row and the last.
+Work = Callable[[int, int, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -117,7 +121,7 @@ class _Passes(ABC):
     memory: int
     again: int
 
-    def __init__(self, frames, v_max, n_threads):
+    def __init__(self, frames: NDArray, v_max: int, n_threads: int):
         self.frames = frames
         n_y = frames.shape[1]
         self._n_bands = max(1, min(n_threads, n_y // max(1, 8 * v_max)))
@@ -127,10 +131,10 @@ class _Passes(ABC):
             self.block = int(np.clip(2 * REPEATED_ROWS * rows / max(v_max, 1), 1, self.block))
 
     @abstractmethod
-    def run(self, merit, start, stop, step, *then):
+    def run(self, merit: NDArray, start: int, stop: int, step: int, *then: Work) -> None:
         """Write the merit of the frames from start to stop, ``then`` do more in each block."""
 
-    def close_ring(self, merit):
+    def close_ring(self, merit: NDArray) -> None:
         """Go on backward from a forward pass and write the means over it."""
         n_frames = len(merit)
         n_planes = self.memory + max(self.block, self.again)
@@ -138,7 +142,7 @@ class _Passes(ABC):
         for t in range(n_frames - self.memory, n_frames):
             backward[t % n_planes] = merit[t]
 
-        def average(first, n_steps, step, low, high):
+        def average(first: int, n_steps: int, step: int, low: int, high: int) -> None:
             passes.average(merit, backward, first, n_steps, step, low, high)
 
         self.run(backward, n_frames - 1 - self.memory, -1, -1,
@@ -148,7 +152,7 @@ class _Passes(ABC):
         self.run(merit, self.memory, stop, 1)
         average(self.memory, stop - self.memory, 1, 0, merit.shape[1])
 
-    def over_bands(self, start, stop, step, *works):
+    def over_bands(self, start: int, stop: int, step: int, *works: Work) -> None:
         """Call each work(first frame, number of frames, first row, last row) for all frames."""
         n_y = self.frames.shape[1]
         blocks = [(first, min(self.block, abs(stop - first)))
@@ -169,12 +173,12 @@ class _FirstOrder(_Passes):
     memory = 1
     again = 0
 
-    def __init__(self, frames, order, v_max, n_threads):
+    def __init__(self, frames: NDArray, order: str, v_max: int, n_threads: int):
         super().__init__(frames, v_max, n_threads)
         self._v_max = v_max
 
-    def run(self, merit, start, stop, step, *then):
-        def work(first, n_steps, low, high):
+    def run(self, merit: NDArray, start: int, stop: int, step: int, *then: Work) -> None:
+        def work(first: int, n_steps: int, low: int, high: int) -> None:
             first_order.accumulate(merit, self.frames, first, n_steps, step, self._v_max, low,
                                    high)
 
@@ -187,7 +191,7 @@ class _SecondOrder(_Passes):
     memory = 2
     again = 2
 
-    def __init__(self, frames, order, v_max, n_threads):
+    def __init__(self, frames: NDArray, order: str, v_max: int, n_threads: int):
         super().__init__(frames, v_max, n_threads)
         self._order = order
         # The states hold velocities of forward time; passed through backward, the same candidates
@@ -201,7 +205,7 @@ class _SecondOrder(_Passes):
         self._states = np.full((n_planes + 1, *frames.shape[1:]), np.iinfo(dtype).max, dtype)
         self._begun = False
 
-    def run(self, merit, start, stop, step, *then):
+    def run(self, merit: NDArray, start: int, stop: int, step: int, *then: Work) -> None:
         if not self._begun:
             # Without known velocities two frames are begun from the observations (Eq. 6).
             self._begun = True
@@ -213,8 +217,9 @@ class _SecondOrder(_Passes):
         self._accumulate(merit, merit, merit if averaging else self.frames, start, stop, step,
                          True, second_order.MEAN if averaging else second_order.FIRST, *then)
 
-    def _accumulate(self, merit, first, second, start, stop, step, matching, going_on, *then):
-        def work(frame, n_steps, low, high):
+    def _accumulate(self, merit: NDArray, first: NDArray, second: NDArray, start: int, stop: int,
+                    step: int, matching: bool, going_on: int, *then: Work) -> None:
+        def work(frame: int, n_steps: int, low: int, high: int) -> None:
             second_order.accumulate(
                 merit, self._states, first, second, self.frames, frame, n_steps, step,
                 *self._candidates[step], matching, going_on, low, high)
@@ -222,7 +227,7 @@ class _SecondOrder(_Passes):
         self.over_bands(start, stop, step, work, *then)
 
 
-def _checked(observations, method, v_max):
+def _checked(observations: NDArray, method: str, v_max: int) -> Method:
     """Refuse what cannot be accumulated; return the method."""
     if method not in METHODS:
         raise ParameterError(f'method must be one of {", ".join(METHODS)}, got {method!r}')

@@ -66,7 +66,7 @@ class VelocityStack:
         top, bottom, left, right = box or (0, self.best.shape[0], 0, self.best.shape[1])
         grid = self.grid
 
-        def search(first, last):
+        def search(first: int, last: int) -> None:
             velocity_stack.best_velocities(
                 self.best, self.number, psi, phi, grid.moves, grid.first_vx, grid.last_vx,
                 self.reach, *grid.plan.arrays, self._least, self._signed, first, last, left,

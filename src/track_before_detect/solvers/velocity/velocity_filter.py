@@ -11,7 +11,7 @@ A target keeps its amplitude and velocity over the batch, whatever ``amplitude_m
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 import logging
 import math
@@ -24,6 +24,7 @@ from track_before_detect.kernels.amplitude_codes import CONSTANT, SIGNED_CONSTAN
 from track_before_detect.kernels.psf.gauss_newton import maximise_statistic
 from track_before_detect.kernels.psf.measurement import whole_norm
 from track_before_detect.kernels.psf.psf_stamps import accumulate, render, statistic_and_slope
+from track_before_detect.models.measurement.psf import Psf
 from track_before_detect.models.motion.velocity_grid import velocity_grid, VelocityGrid
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
@@ -46,17 +47,15 @@ AMPLITUDES = ('non-negative', 'signed')
 # Additions that a search may take, some seconds of one core; a wider one is cut down to fit.
 MOST_ADDITIONS = 3e10
 # Share of a whole batch that border and mask have to leave of a target.
-LEAST_SHARE = 0.1
-# A statistic on the grid is at most so much smaller than between the grid: 4 % on average from
-# rounding to whole pixels at a PSF of 1 px, more from the nearest velocity, and what noise adds.
+LEAST_BATCH_SHARE = 0.1
+# Smallest share of a statistic between the grid that the grid shows (docs/constants/velocity.md).
 GRID_SHARE = 0.88
-# CPU time of a look at noise, as measured: of a pixel of one frame and one velocity, and for each
-# frame of refining all candidates.
+# CPU seconds of a look at noise: of a pixel of one frame and one velocity, and for each frame of
+# refining all candidates (docs/constants/velocity.md).
 SECONDS_PER_SUM = 2.2e-10
 SECONDS_PER_FRAME = 5.2e-4
-# Smallest crops of noise, and the most that the fastest target may cross of one: with 26 frames
-# the threshold for 64 x 64 pixels came out 0.3 to 0.6 % lower from crops of 32 than from those of
-# 64, at rates of 0.02 to 0.5.
+# Smallest crops of noise, and the share that the fastest target may cross of one
+# (docs/constants/velocity.md).
 LEAST_CROP_PX = 64
 MOST_OF_CROP = 0.8
 # Candidates that are refined for one look at noise, and in one round of a detection.
@@ -148,10 +147,10 @@ class VelocityFilterDetector(BatchDetector):
         grid = self.grid(stamps, shape)
         extent = float(np.abs(grid.axis).max() * (stamps[-1] - stamps[0]))
 
-        def searcher(crop):
+        def searcher(crop: tuple[int, int]) -> Callable[[np.random.Generator], float]:
             stack = self._stack(grid, crop, 1)
 
-            def largest(generator):
+            def largest(generator: np.random.Generator) -> float:
                 noise = generator.standard_normal((len(stamps), *crop), np.float32)
                 batch = _Batch(noise, None, self.psf, stack, self._signed)
                 lines = (batch.refined(*place) for place in batch.places(0.0, FEW_CANDIDATES))
@@ -160,8 +159,8 @@ class VelocityFilterDetector(BatchDetector):
             return largest
 
         return NoiseStudy(
-            f'velocity_filter {grid.moves.tobytes().hex()[:32]} {len(stamps)} '
-            f'{grid.n_velocities} {self.psf.key} {self._signed}',
+            f'velocity_filter {grid.key} {len(stamps)} {grid.n_velocities} {self.psf.key} '
+            f'{self._signed}',
             grid.effective_area, searcher,
             seconds=lambda crop: len(stamps) * (
                 SECONDS_PER_SUM * grid.n_velocities * np.prod(crop) + SECONDS_PER_FRAME),
@@ -185,10 +184,12 @@ class VelocityFilterDetector(BatchDetector):
         batch = _Batch(frames, weights, self.psf, stack, self._signed)
         return self._solve(batch, threshold)
 
-    def _stack(self, grid, shape, n_threads):
-        return VelocityStack(grid, shape, LEAST_SHARE * len(grid.times), self._signed, n_threads)
+    def _stack(self, grid: VelocityGrid, shape: tuple[int, int],
+               n_threads: int) -> VelocityStack:
+        return VelocityStack(grid, shape, LEAST_BATCH_SHARE * len(grid.times), self._signed,
+                             n_threads)
 
-    def _solve(self, batch, threshold):
+    def _solve(self, batch: _Batch, threshold: float) -> BatchResult:
         """Take lines off the frames until none is left."""
         found: list[_Line] = []
         history = []
@@ -208,7 +209,8 @@ class VelocityFilterDetector(BatchDetector):
                              line.statistic, line.snr) for line in found],
             threshold, status, history, math.nan)
 
-    def _round(self, batch, threshold, found):
+    def _round(self, batch: _Batch, threshold: float,
+               found: list[_Line]) -> tuple[float, list[_Line]]:
         """Return the largest statistic, and lines above the threshold that are far apart."""
         largest = 0.0
         new: list[_Line] = []
@@ -230,7 +232,8 @@ class VelocityFilterDetector(BatchDetector):
 class _Batch:
     """Frames, what is left of them, and the best velocity for each position."""
 
-    def __init__(self, frames, weights, psf, stack, signed):
+    def __init__(self, frames: NDArray, weights: NDArray | None, psf: Psf, stack: VelocityStack,
+                 signed: bool):
         self._psf = psf
         self._compiled = psf.compiled(with_curvature=True)
         self._optics = self._compiled.optics[0]
@@ -248,7 +251,7 @@ class _Batch:
         self._measure()
         stack.run(self._psi, self._phi)
 
-    def places(self, above, limit) -> Iterator[tuple[int, int]]:
+    def places(self, above: float, limit: int) -> Iterator[tuple[int, int]]:
         """Yield local maxima (y, x) of the statistic above a bound, best first."""
         best = np.pad(self.stack.best, 1, constant_values=-np.inf)
         n_y, n_x = self.stack.best.shape
@@ -259,12 +262,12 @@ class _Batch:
         order = np.argsort(-self.stack.best[y, x], kind='stable')[:limit]
         yield from zip(y[order].tolist(), x[order].tolist(), strict=True)
 
-    def line(self, y, x):
+    def line(self, y: int, x: int) -> _Line:
         """Return the line through a position as the grid has it."""
         velocity = self.stack.grid.velocity(int(self.stack.number[y, x]))
         return self._line(np.array([x, y], float), velocity)
 
-    def refined(self, y, x):
+    def refined(self, y: int, x: int) -> _Line:
         """Return the line of the largest statistic near that through a position."""
         times = self.stack.grid.times
         start = self.line(y, x)
@@ -289,7 +292,7 @@ class _Batch:
         line = self._line(fit[0], velocity)
         return line if line.statistic > start.statistic else start
 
-    def _line(self, position, velocity):
+    def _line(self, position: NDArray, velocity: NDArray) -> _Line:
         """Return a line with its statistic on what is left of the frames."""
         positions = position + self.stack.grid.times[:, None] * velocity
         n_y, n_x = self._residual.shape[1:]
@@ -300,13 +303,13 @@ class _Batch:
         h = np.where(inside, seen[:, 0], 0)
         norms = np.where(inside, norms, 0)
         total = float(norms @ norms)
-        if total <= LEAST_SHARE * len(norms):
+        if total <= LEAST_BATCH_SHARE * len(norms):
             return _Line(positions, inside, 0.0, 0.0, 0.0)
         statistic = float(norms @ h) / math.sqrt(total)
         return _Line(positions, inside, abs(statistic) if self._model == SIGNED_CONSTANT
                      else statistic, float(h[inside].mean()), statistic / math.sqrt(total))
 
-    def subtract(self, lines):
+    def subtract(self, lines: list[_Line]) -> None:
         """Take lines off the frames, and search what they change again."""
         n_frames, n_y, n_x = self._residual.shape
         reach = self.stack.reach + 2 * self._psf.half_width + 1
@@ -324,12 +327,12 @@ class _Batch:
                    max(0, math.floor(x.min()) - reach), min(n_x, math.ceil(x.max()) + reach + 1))
             self.stack.run(self._psi, self._phi, box)
 
-    def _measure(self):
+    def _measure(self) -> None:
         data = measure(self._residual, self._psf, self._weights)
         self._psi, self._phi = data.psi[0], data.phi
 
 
-def _distance(line, other):
+def _distance(line: _Line, other: _Line) -> NDArray[np.float64]:
     """Return the distance of two lines in the frames that both are in, in pixels."""
     both = line.inside & other.inside
     if not both.any():

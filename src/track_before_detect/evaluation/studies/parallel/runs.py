@@ -15,7 +15,7 @@ from track_before_detect.solvers.calibration.threshold import noise_frames
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.cancellation.target_cancellation import TargetSearch
-from track_before_detect.solvers.pixel_statistics import cores, measure
+from track_before_detect.solvers.pixel_statistics import exclusion_levels, measure
 
 METHODS = {'mt_dp': MtDpDetector, 'pc_dp': PcDpDetector}
 STAMPS = np.arange(float(parallel_scenes.N_FRAMES))
@@ -73,7 +73,8 @@ def _detector(name):
 def _search(name, frames, threshold):
     """Return the tracks of a method and its searches, one for each direction."""
     detector = _detector(name)
-    search = TargetSearch(measure(frames, detector.psf), cores(detector.psf), detector.merit)
+    search = TargetSearch(measure(frames, detector.psf), exclusion_levels(detector.psf),
+                          detector.merit)
     bound = detector.merit.bound(threshold, len(frames))
     # On one thread: other runs have the other cores.
     searches = search.run_parallel(detector.transition_sets(STAMPS), bound, 1)
