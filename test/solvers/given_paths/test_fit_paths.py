@@ -282,6 +282,11 @@ def test_a_sampled_gaussian_is_the_model_at_whole_pixels():
     assert objectives[0] == pytest.approx(objectives[1], rel=1e-8)
 
 
+def test_the_models_fit_paths_takes_are_public_names():
+    assert {'GaussianPsf', 'ArrayPsf'} <= set(tbd.__all__)
+    assert tbd.GaussianPsf(1.0).half_width == 4
+
+
 def test_no_paths_leave_the_energy():
     frames, _ = crowded_scene(12)
     for t in (1.0, 0.5, 0.0):

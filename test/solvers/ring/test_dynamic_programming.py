@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.solvers.ring.crossings import regularised
+from track_before_detect.solvers.ring.crossings import with_crossings_resolved
 from track_before_detect.solvers.ring.dynamic_programming import (
-    extracted,
     fill,
+    found_one_by_one,
     several_targets,
     single_target,
 )
@@ -120,7 +120,7 @@ def test_fill_takes_medians_of_what_was_there_before(radius):
 def test_filled_target_is_not_found_again():
     positions = line((10, 20), (0.6, -0.4), 20)
     frames = point_frames(2, [positions], 8)
-    rounds = extracted(frames, 'mff_dpr', 1, np.asarray, 1)
+    rounds = found_one_by_one(frames, 'mff_dpr', 1, np.asarray, 1)
     (first, seen), (second, _) = next(rounds), next(rounds)
     x, y = first.positions.astype(int).T
     np.testing.assert_array_equal(seen, frames[np.arange(20), y, x])
@@ -131,7 +131,7 @@ def test_filled_target_is_not_found_again():
 def test_rounds_end_when_one_takes_nothing_out():
     # A median of equal pixels is that pixel.
     frames = np.zeros((6, 9, 9), np.float32)
-    assert len(list(extracted(frames, 'mff_dpr', 1, np.asarray, 1))) == 1
+    assert len(list(found_one_by_one(frames, 'mff_dpr', 1, np.asarray, 1))) == 1
 
 
 def crossing_pair():
@@ -148,21 +148,21 @@ def swapped(one, other, at):
 def test_swapped_identities_are_put_right_and_others_kept():
     straight = crossing_pair()
     for given in (straight, swapped(*straight, 16)):
-        for found, expected in zip(regularised(given), straight, strict=True):
+        for found, expected in zip(with_crossings_resolved(given), straight, strict=True):
             np.testing.assert_array_equal(found, expected)
 
 
 def test_trajectories_that_do_not_meet_are_kept():
     one, other = crossing_pair()
     given = swapped(one, other + [0, 40], 16)
-    for found, expected in zip(regularised(given), given, strict=True):
+    for found, expected in zip(with_crossings_resolved(given), given, strict=True):
         np.testing.assert_array_equal(found, expected)
 
 
 def test_trajectories_seen_on_one_side_of_a_meeting_are_kept():
     one, other = swapped(*crossing_pair(), 16)
     one[17:] = np.nan
-    for found, expected in zip(regularised([one, other]), (one, other), strict=True):
+    for found, expected in zip(with_crossings_resolved([one, other]), (one, other), strict=True):
         np.testing.assert_array_equal(found, expected)
 
 

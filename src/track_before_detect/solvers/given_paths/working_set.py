@@ -7,10 +7,10 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import connected_components
 
 from track_before_detect.kernels.fit import given_paths as kernels
 from track_before_detect.kernels.fit import group_lasso
+from track_before_detect.kernels.fit.least_squares import find_blocks
 from track_before_detect.solvers.given_paths import admm
 from track_before_detect.solvers.given_paths.problem import FittedPaths, Problem
 from track_before_detect.types import Step
@@ -115,9 +115,10 @@ class WorkingSet:
         if len(matched) <= SOLVED_AT_ONCE:
             self._solve_members(slice(None), matched, self._gram, wanted, method)
             return
-        n_clusters, labels = connected_components(self._gram.any(axis=2), directed=False)
-        for cluster in range(n_clusters):
-            rows = np.flatnonzero(labels == cluster)
+        order, ends = np.empty(len(matched), np.int64), np.empty(len(matched), np.int64)
+        n_clusters = find_blocks(self._gram.any(axis=2).astype(float), order, ends)
+        for cluster in np.split(order, ends[:n_clusters - 1]):
+            rows = np.sort(cluster)
             self._solve_members(rows, matched[rows], self._gram[np.ix_(rows, rows)],
                                 wanted / n_clusters, method)
 

@@ -14,7 +14,7 @@ SEPARATION_PX = 5.0
 FITTED_FRAMES = 10
 
 
-def regularised(trajectories: Sequence[NDArray]) -> list[NDArray[np.float64]]:
+def with_crossings_resolved(trajectories: Sequence[NDArray]) -> list[NDArray[np.float64]]:
     """Return trajectories that go on as straight as they can where two of them met.
 
     Parameters

@@ -26,7 +26,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.solvers.ring.crossings import regularised
+from track_before_detect.solvers.ring.crossings import with_crossings_resolved
 from track_before_detect.solvers.ring.linking import best_trajectory, LinkedTrajectory
 from track_before_detect.solvers.ring.merit_functions import merit_functions
 
@@ -79,20 +79,20 @@ def several_targets(frames: NDArray, method: str, v_max: int, n_targets: int, *,
     Returns
     -------
     list of LinkedTrajectory
-        In the order found, identities regularised; fewer than ``n_targets`` where a round finds no
-        two coordinates that go together.
+        In the order found, crossings resolved; fewer than ``n_targets`` where a round finds no two
+        coordinates that go together.
     """
     if n_targets < 1:
         raise ParameterError(f'n_targets must be at least 1, got {n_targets}')
-    rounds = extracted(frames, method, v_max, observe or np.asarray, fill_radius, n_threads)
+    rounds = found_one_by_one(frames, method, v_max, observe or np.asarray, fill_radius, n_threads)
     found = [trajectory for trajectory, _ in itertools.islice(rounds, n_targets)]
-    regular = regularised([trajectory.positions for trajectory in found])
+    regular = with_crossings_resolved([trajectory.positions for trajectory in found])
     return [dataclasses.replace(trajectory, positions=positions)
             for trajectory, positions in zip(found, regular, strict=True)]
 
 
-def extracted(frames: NDArray, method: str, v_max: int, observe: Observe, fill_radius: int,
-              n_threads: int = 1) -> Iterator[tuple[LinkedTrajectory, NDArray[np.float64]]]:
+def found_one_by_one(frames: NDArray, method: str, v_max: int, observe: Observe, fill_radius: int,
+                     n_threads: int = 1) -> Iterator[tuple[LinkedTrajectory, NDArray[np.float64]]]:
     """Go through the rounds of Algorithm 2 (Steps 1-4) for as long as they find anything new.
 
     A round that takes nothing out of the frames is the last: the next would find the same.

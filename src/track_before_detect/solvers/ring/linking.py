@@ -32,7 +32,7 @@ class LinkedTrajectory:
     score: int
 
 
-class _Open:
+class _OpenTrajectory:
     """A trajectory that is being followed."""
 
     def __init__(self, first_frame: int, points: list[tuple[int, int]]):
@@ -61,8 +61,8 @@ def best_trajectory(coordinates: NDArray, v_max: int,
     shape : tuple of int
         (H, W) of the frames.
     """
-    followed: list[_Open] = []
-    ended: list[_Open] = []
+    followed: list[_OpenTrajectory] = []
+    ended: list[_OpenTrajectory] = []
     # Coordinate of the frame before, unless a trajectory has it.
     free = None
     for t, (x, y) in enumerate(np.asarray(coordinates).tolist()):
@@ -85,7 +85,7 @@ def best_trajectory(coordinates: NDArray, v_max: int,
                     followed.remove(trajectory)
                     ended.append(trajectory)
         if not taken and free is not None and max(abs(x - free[0]), abs(y - free[1])) <= v_max:
-            followed.append(_Open(t - 1, [free, (x, y)]))
+            followed.append(_OpenTrajectory(t - 1, [free, (x, y)]))
             taken = True
         free = None if taken else (x, y)
     found = sorted(ended + followed, key=lambda one: (-one.score, one.first_frame))

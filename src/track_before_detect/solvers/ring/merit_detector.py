@@ -32,8 +32,8 @@ from track_before_detect.solvers.batch_detector import (
 )
 from track_before_detect.solvers.calibration.threshold import NoiseStudy
 from track_before_detect.solvers.pixel_statistics import measure
-from track_before_detect.solvers.ring.crossings import regularised
-from track_before_detect.solvers.ring.dynamic_programming import extracted
+from track_before_detect.solvers.ring.crossings import with_crossings_resolved
+from track_before_detect.solvers.ring.dynamic_programming import found_one_by_one
 from track_before_detect.solvers.ring.linking import LinkedTrajectory
 from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.types import Progress
@@ -138,14 +138,14 @@ class MeritDetector(BatchDetector):
                 status = 'converged'
         kept = [FoundTrajectory(rows[:, :2], rows[:, 2], _statistic(rows[:, 2]),
                                 float(np.nanmean(rows[:, 2])))
-                for rows in regularised(found) if _statistic(rows[:, 2]) > threshold]
+                for rows in with_crossings_resolved(found) if _statistic(rows[:, 2]) > threshold]
         kept.sort(key=lambda one: -one.statistic)
         return BatchResult(kept, threshold, status, [], float('nan'))
 
     def _rounds(self, frames: NDArray, v_max: int,
                 n_threads: int) -> Iterator[tuple[LinkedTrajectory, NDArray[np.float64]]]:
-        return extracted(frames, self._method.name, v_max, self.statistics, self._fill_radius,
-                         n_threads)
+        return found_one_by_one(frames, self._method.name, v_max, self.statistics,
+                                self._fill_radius, n_threads)
 
     def _v_max(self, stamps: NDArray, shape: tuple[int, int]) -> int:
         """Return the largest velocity in whole pixels per frame interval."""
