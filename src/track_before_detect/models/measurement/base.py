@@ -23,7 +23,9 @@ class SearchWork(NamedTuple):
 
     Attributes
     ----------
-    filtered : float
+    n_kinds : int
+        Scores that each position has, between which the velocity chooses.
+    filtered : int
         Components of the PSF that are filtered at each place, in all frames together.
     streak_places : int
         Places of streaks that are added up at each place, in all frames.
@@ -34,7 +36,8 @@ class SearchWork(NamedTuple):
         exposure in all frames, and their pixels.
     """
 
-    filtered: float
+    n_kinds: int
+    filtered: int
     streak_places: int
     stamp_pixels: int
     seen_pixels: int
@@ -134,9 +137,6 @@ class MeasurementModel(Protocol):
 
     def limits(self, shape: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position for frames (H, W)."""
-
-    def n_kinds(self, graph: StateGraph) -> int:
-        """Return how many scores each position has, between which the velocity chooses."""
 
     def scores(self, graph: StateGraph, shape: tuple[int, int], amplitudes: AmplitudeModel,
                over_rows: OverRows) -> Scores:

@@ -133,10 +133,6 @@ class Psf(ABC):
         """Return the largest x and y of a position in frames (H, W)."""
         return np.array([shape[1] - 1.0, shape[0] - 1.0])
 
-    def n_kinds(self, graph: StateGraph) -> int:
-        """Return how many scores each position has, between which the velocity chooses."""
-        return 1
-
     def scores(self, graph: StateGraph, shape: tuple[int, int], amplitudes: AmplitudeModel,
                over_rows: OverRows) -> Scores:
         """Return the scores of all positions; see ``MeasurementModel``."""
@@ -146,7 +142,7 @@ class Psf(ABC):
         """Return what a search of the paths of a graph has to compute."""
         n_parts = len(self.coefficients)
         stamps = graph.n_frames * n_parts * self.optics().nodes.size
-        return SearchWork(graph.n_frames * n_parts, 0, 0, 0, stamps,
+        return SearchWork(1, graph.n_frames * n_parts, 0, 0, 0, stamps,
                           stamps * (2 * self.half_width + 1)**2)
 
 

@@ -176,7 +176,7 @@ def search_size(graph: StateGraph, measurement: MeasurementModel, shape: tuple[i
     grid = sheared_shape(graph, grid_shape(measurement, shape))
     states = graph.n_segments * graph.n_velocities * float(np.prod(grid))
     memory = float(table_bytes(graph, grid, presence))
-    n_kinds = measurement.n_kinds(graph)
+    n_kinds = measurement.search_work(graph, False).n_kinds
     if n_kinds > 1:
         # Streaks of each shape have scores of their own, which the table copies.
         memory += 8 * n_kinds * graph.n_frames * float(np.prod(grid))
