@@ -239,8 +239,8 @@ def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, of
               rows, n_y, absent, costs):
     """Write to ``run`` what n velocities from ``slot`` read and write, see ``turn_and_add``.
 
-    ``absent`` is where a row of absent weights lies, for rows off the grid; without ``costs`` there
-    are none.
+    ``absent`` is where a row of absent weights lies, for rows off the grid, which are not visited
+    without ``costs``.
     """
     for k in range(n + 2):
         here = slot + (k - 1) * columns
