@@ -188,7 +188,7 @@ def best_paths(positions, velocities, values, turns, best, tables, scores, motio
             return i
         value, turns[i] = _follow_back(positions[i], velocities[i], starts, tables, scores,
                                        before + end, y, x, motion, layout)
-        values[i] = value if n_ends > 1 else best[end, y, x]
+        values[i] = value if motion.entry < -ABSENT else best[end, y, x]
         for e in range(n_ends):
             x, y = starts[before + e]
             for row in range(max(0, y - radius), min(n_y, y + radius + 1)):
