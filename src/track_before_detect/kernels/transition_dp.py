@@ -39,6 +39,7 @@ from track_before_detect.kernels.rows import (
     largest_of_three,
     raise_row,
 )
+from track_before_detect.kernels.scores.score_rows import root, square, square_positive
 
 # Part of the PSF that border and mask have to leave for a pixel to be searched.
 LEAST_PHI = np.float32(LEAST_SHARE)
@@ -200,25 +201,6 @@ def _statistic(out, o, psi, phi, i, n):
 
 
 @numba.njit(**FUSED_UNCHECKED)
-def _root(out, o, n):
-    for x in range(_U(n)):
-        out[o + x] = np.sqrt(out[o + x])
-
-
-@numba.njit(**FUSED_UNCHECKED)
-def _square(out, o, n):
-    for x in range(_U(n)):
-        out[o + x] = out[o + x] * out[o + x]
-
-
-@numba.njit(**FUSED_UNCHECKED)
-def _square_positive(out, o, n):
-    for x in range(_U(n)):
-        value = out[o + x] if out[o + x] > 0 else np.float32(0)
-        out[o + x] = value * value
-
-
-@numba.njit(**FUSED_UNCHECKED)
 def _absolute(out, o, n):
     for x in range(_U(n)):
         out[o + x] = abs(out[o + x])
@@ -227,16 +209,17 @@ def _absolute(out, o, n):
 @numba.njit(**FUSED_UNCHECKED)
 def _score_row(out, o, real, imaginary, phi, i, n, is_complex, squared, signed):
     """Write what pixels add to the merit function, from psi and phi at i, to out[o + x]."""
+    row = out[np.int64(o):np.int64(o) + n]
     if is_complex:
         _power(out, o, real, imaginary, phi, i, n)
         if not squared:
-            _root(out, o, n)
+            root(row)
         return
     _statistic(out, o, real, phi, i, n)
     if squared and signed:
-        _square(out, o, n)
+        square(row)
     elif squared:
-        _square_positive(out, o, n)
+        square_positive(row)
     elif signed:
         _absolute(out, o, n)
 

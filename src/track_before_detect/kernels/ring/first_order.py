@@ -16,12 +16,7 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.compile_flags import FUSED
-from track_before_detect.kernels.rows import (
-    ABSENT,
-    copy_row,
-    larger_of_two,
-    largest_of_three,
-)
+from track_before_detect.kernels.rows import ABSENT, copy_row, larger_of_two, largest_of_three
 
 _U = np.uint64
 

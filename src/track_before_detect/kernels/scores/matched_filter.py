@@ -18,7 +18,7 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.compile_flags import FUSED
-from track_before_detect.kernels.scores.score_rows import score_row
+from track_before_detect.kernels.scores.score_rows import multiply, score_row
 
 
 @numba.njit(**FUSED)
@@ -37,12 +37,6 @@ def _add_weighted(out, source, weights, factor):
 def _spread(out, source, first, stride, factor):
     for x in range(source.size):
         out[first + stride * x] = factor * source[x]
-
-
-@numba.njit(**FUSED)
-def _times(out, factor):
-    for x in range(out.size):
-        out[x] *= factor[x]
 
 
 @numba.njit(**FUSED)
@@ -70,7 +64,7 @@ def _filter_row(out, y, frame, weights, taps, level, scale_y, scale_x, padded, p
     for phase in range(n_sub):
         _spread(out, part[phase, :width if phase == 0 else width - 1], phase, n_sub,
                 level[phase_y, phase])
-    _times(out, scale_x)
+    multiply(out, scale_x)
 
 
 @numba.njit(**FUSED)

@@ -14,14 +14,23 @@ from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
 
 
 @numba.njit(**FUSED)
-def _square_positive(row):
+def multiply(row, factors):
+    """Multiply numbers by factors of their own."""
+    for x in range(row.size):
+        row[x] *= factors[x]
+
+
+@numba.njit(**FUSED)
+def square_positive(row):
+    """Square numbers, those below zero as zero."""
     for x in range(row.size):
         value = row[x] if row[x] > 0 else np.float32(0)
         row[x] = value * value
 
 
 @numba.njit(**FUSED)
-def _square(row):
+def square(row):
+    """Square numbers."""
     for x in range(row.size):
         row[x] *= row[x]
 
@@ -33,13 +42,15 @@ def _add_square(row, other):
 
 
 @numba.njit(**FUSED)
-def _root(row):
+def root(row):
+    """Take the root of numbers."""
     for x in range(row.size):
         row[x] = np.sqrt(row[x])
 
 
 @numba.njit(**FUSED)
-def _scale(row, factor):
+def scale(row, factor):
+    """Multiply numbers by one factor."""
     for x in range(row.size):
         row[x] *= factor
 
@@ -76,13 +87,13 @@ def score_row(row, other, share, uneven, model, factor, tilt):
     if other.size > 0:
         _add_square(row, other)
         if model == COMPLEX_CONSTANT:
-            _root(row)
+            root(row)
     elif model == NON_NEGATIVE:
-        _square_positive(row)
+        square_positive(row)
     elif model < CONSTANT:
-        _square(row)
+        square(row)
     if model == CONSTANT or model == SIGNED_CONSTANT or model == COMPLEX_CONSTANT:
         if uneven:
             _less_share(row, share, np.float32(factor), np.float32(tilt))
         else:
-            _scale(row, np.float32(factor))
+            scale(row, np.float32(factor))

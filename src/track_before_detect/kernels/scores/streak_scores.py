@@ -5,7 +5,7 @@ import numpy as np
 
 from track_before_detect.kernels.compile_flags import FUSED_UNCHECKED
 from track_before_detect.kernels.rows import add_row
-from track_before_detect.kernels.scores.score_rows import score_row
+from track_before_detect.kernels.scores.score_rows import multiply, scale, score_row
 
 _U = np.uint64
 
@@ -21,12 +21,6 @@ def _sum_along(out, picture, height, y, offsets):
         if 0 <= row < height and abs(shift) < width:
             first = max(0, -shift)
             add_row(out, _U(first), picture, _U(row * width + first + shift), width - abs(shift))
-
-
-@numba.njit(**FUSED_UNCHECKED)
-def _times(out, factors):
-    for x in range(_U(out.size)):
-        out[x] *= factors[x]
 
 
 @numba.njit(**FUSED_UNCHECKED)
@@ -52,17 +46,17 @@ def scores_of_streak(out, left, real, imaginary, shares, offsets, factors, uneve
     other = np.empty(width if imaginary.shape[0] > 0 else 0, np.float32)
     share = np.empty(width, np.float32)
     norms = np.empty(width, np.float32)
-    mean = np.full(width, 1 / offsets.shape[0], np.float32)
+    mean = np.float32(1 / offsets.shape[0])
     for y in range(first_row, last_row):
         for x in range(width):
             norms[x] = factors[y % n_sub, x % n_sub]
         _sum_along(share, shares.reshape(shares.size), height, y, offsets)
-        _times(share, mean)
+        scale(share, mean)
         if left.shape[0] > 0:
             left[y] = share
         _sum_along(out[y], real.reshape(real.size), height, y, offsets)
-        _times(out[y], norms)
+        multiply(out[y], norms)
         if imaginary.shape[0] > 0:
             _sum_along(other, imaginary.reshape(imaginary.size), height, y, offsets)
-            _times(other, norms)
+            multiply(other, norms)
         score_row(out[y], other, share, uneven, model, factor, tilt)

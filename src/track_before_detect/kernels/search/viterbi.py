@@ -235,29 +235,26 @@ def _find_sources(source, y, arrival, n_y, stride, pad, guard):
 
 
 @numba.njit(**FINITE)
-def _find_run(run, n, slot, velocity_at, columns, source, place, step):
-    """Write to ``run`` which paths and states n velocities from ``slot`` read and write."""
+def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets, n_frames, y,
+              rows, n_y, absent, costs):
+    """Write to ``run`` what n velocities from ``slot`` read and write, see ``turn_and_add``.
+
+    ``absent`` is where a row of absent weights lies, for rows off the grid, which are not visited
+    without ``costs``.
+    """
     for k in range(n + 2):
         here = slot + (k - 1) * columns
         run[3 * k] = source[velocity_at[here]]
         run[3 * k + 1] = source[velocity_at[here - 1]]
         run[3 * k + 2] = source[velocity_at[here + 1]]
     for k in range(n):
-        run[3 * (n + 2) + k] = place + velocity_at[slot + k * columns] * step
-
-
-@numba.njit(**FINITE)
-def _find_scores(run, n, slot, velocity_at, columns, first, offsets, n_frames, y, rows, n_y,
-                 absent):
-    """Write to ``run`` where n velocities meet the weights of their first frames.
-
-    ``absent`` is where a row of absent weights lies, for rows off the grid.
-    """
-    for k in range(n):
         v = velocity_at[slot + k * columns]
+        run[3 * (n + 2) + k] = place + v * step
         for t in range(n_frames):
-            inside = 0 <= y + rows[v, t] < n_y
-            run[4 * n + 6 + t * n + k] = first + offsets[v, t] if inside else absent
+            run[4 * n + 6 + t * n + k] = first + offsets[v, t]
+            if costs is not None:
+                if not 0 <= y + rows[v, t] < n_y:
+                    run[4 * n + 6 + t * n + k] = absent
 
 
 @numba.njit(**FINITE)
@@ -310,9 +307,8 @@ def _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs,
                         break
                 n += 1
             if costs is not None or (near and inside):
-                _find_run(run, n, slot, velocity_at, columns, source, place, step)
-                _find_scores(run, n, slot, velocity_at, columns, first, offsets, done, y, rows,
-                             n_y, scores.size - lanes)
+                _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets,
+                          done, y, rows, n_y, scores.size - lanes, costs)
             b, end = run_of_blocks(marks[y, v], 0, n_blocks)
             while b < BLOCKS:
                 start = b * block

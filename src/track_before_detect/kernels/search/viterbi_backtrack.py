@@ -105,7 +105,8 @@ def _follow_back(positions, velocities, starts, tables, scores, j, y, x, motion,
 
     starts : int64 (J, 2), x and y of its starts of segments, also of those that it would go on to
 
-    Returns the steps of its turns.
+    Returns its weight, of what it meets in the last segment in double precision, and the steps of
+    its turns.
     """
     positions[:] = np.nan
     velocity, last = _best_end(tables, scores, j, y, x, motion, layout)
@@ -114,6 +115,12 @@ def _follow_back(positions, velocities, starts, tables, scores, j, y, x, motion,
         for axis in range(2):
             starts[later, axis] = (starts[later - 1, axis]
                                    + motion.end_moves[later - 1, velocity, axis])
+    _, reached, _ = _best_arrival(tables, j, y, x, velocity, motion, layout)
+    value = np.float64(reached)
+    for t in range(motion.knots[j], last + 1):
+        value = _live_on(value, scores, t, y, x, velocity, motion, layout)
+    if last < motion.moves.shape[0] - 1:
+        value -= motion.leaving
     turns = 0
     while True:
         first = motion.knots[j]
@@ -132,7 +139,7 @@ def _follow_back(positions, velocities, starts, tables, scores, j, y, x, motion,
         if not goes_on:
             for earlier in range(j):
                 starts[earlier] = NOWHERE
-            return turns
+            return value, turns
         turns += turned
         velocity, j, last = arriving, j - 1, first - 1
         x -= motion.end_moves[j, velocity, 0]
@@ -153,7 +160,7 @@ def best_paths(positions, velocities, values, turns, best, tables, scores, motio
         Receives x and y in grid steps, NaN where a path is absent.
     velocities : int64 (N, T)
         Receives the velocity, where it is present.
-    values, turns : float32 and int64 (N,)
+    values, turns : float64 and int64 (N,)
         Receive weights and steps of turns.
     best : float32 (E, Y, X)
         Largest weights of paths that end in each of the last E segments, by its start.
@@ -179,9 +186,9 @@ def best_paths(positions, velocities, values, turns, best, tables, scores, motio
         # Rounding leaves much of what is absent.
         if not best[end, y, x] > max(above, np.float32(0.5) * ABSENT):
             return i
-        values[i] = best[end, y, x]
-        turns[i] = _follow_back(positions[i], velocities[i], starts, tables, scores, before + end,
-                                y, x, motion, layout)
+        value, turns[i] = _follow_back(positions[i], velocities[i], starts, tables, scores,
+                                       before + end, y, x, motion, layout)
+        values[i] = value if motion.entry < -ABSENT else best[end, y, x]
         for e in range(n_ends):
             x, y = starts[before + e]
             for row in range(max(0, y - radius), min(n_y, y + radius + 1)):

@@ -206,14 +206,6 @@ def wanted_before(wanted, stale, near, arrival, layout, first_row, last_row):
 
 
 @numba.njit(**FINITE)
-def any_velocity(met, marks, first_row, last_row):
-    """Add to met[y] what is marked for some velocity."""
-    for y in range(first_row, last_row):
-        for v in range(marks.shape[1]):
-            met[y] |= marks[y, v]
-
-
-@numba.njit(**FINITE)
 def raise_stale(best, stale, rise, layout, first_row, last_row):
     """Add ``rise`` to the weights of stale blocks, which makes them bounds."""
     for y in range(first_row, last_row):

@@ -25,7 +25,9 @@ class SearchWork(NamedTuple):
 
     Attributes
     ----------
-    filtered : float
+    n_kinds : int
+        Scores that each position has, between which the velocity chooses.
+    filtered : int
         Components of the PSF that are filtered at each place, in all frames together.
     streak_places : int
         Places of streaks that are added up at each place, in all frames.
@@ -36,7 +38,8 @@ class SearchWork(NamedTuple):
         exposure in all frames, and their pixels.
     """
 
-    filtered: float
+    n_kinds: int
+    filtered: int
     streak_places: int
     stamp_pixels: int
     seen_pixels: int
@@ -160,9 +163,6 @@ class MeasurementModel(Protocol):
 
     def limits(self, shape: tuple[int, int]) -> NDArray[np.float64]:
         """Return the largest x and y of a position for frames (H, W)."""
-
-    def n_kinds(self, graph: StateGraph) -> int:
-        """Return how many scores each position has, between which the velocity chooses."""
 
     def gaussian(self, width_px: float) -> MeasurementModel:
         """Return the same view of a Gaussian target of a width in pixels of the positions."""

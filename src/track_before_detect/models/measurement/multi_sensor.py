@@ -120,10 +120,6 @@ class MultiSensor:
         """Return the largest x and y of a position."""
         return np.array([self.shape[1] - 1.0, self.shape[0] - 1.0])
 
-    def n_kinds(self, graph: StateGraph) -> int:
-        """Return how many scores each position has, between which the velocity chooses."""
-        return 1
-
     def scores(self, graph: StateGraph, shape: tuple[int, int], amplitudes: AmplitudeModel,
                over_rows: OverRows) -> Scores:
         """Return the scores of all positions; see ``MeasurementModel``."""
@@ -134,7 +130,7 @@ class MultiSensor:
         pixels = np.array([(2 * psf.half_width + 1)**2 for psf in self.psfs])
         stamps = np.array([len(psf.coefficients) * psf.optics().nodes.size for psf in self.psfs])
         n_seen = np.bincount(self.sensor, minlength=len(self.psfs))
-        return SearchWork(0, 0, int(pixels.sum()), int((1 + is_complex) * pixels @ n_seen),
+        return SearchWork(1, 0, 0, int(pixels.sum()), int((1 + is_complex) * pixels @ n_seen),
                           int(stamps @ n_seen), int((stamps * pixels) @ n_seen))
 
     def window(self, shape: tuple[int, int]) -> MultiSensor:

@@ -159,10 +159,6 @@ class Psf(ABC):
         """Return the largest x and y of a position in frames (H, W)."""
         return np.array([shape[1] - 1.0, shape[0] - 1.0])
 
-    def n_kinds(self, graph: StateGraph) -> int:
-        """Return how many scores each position has, between which the velocity chooses."""
-        return 1
-
     def gaussian(self, width_px: float) -> Psf:
         """Return what a Gaussian target of a width looks like, or of the least width there is."""
         return GaussianPsf(max(width_px, LEAST_SIGMA_PX))
@@ -176,7 +172,7 @@ class Psf(ABC):
         """Return what a search of the paths of a graph has to compute."""
         n_parts = len(self.coefficients)
         stamps = graph.n_frames * n_parts * self.optics().nodes.size
-        return SearchWork(graph.n_frames * n_parts, 0, 0, 0, stamps,
+        return SearchWork(1, graph.n_frames * n_parts, 0, 0, 0, stamps,
                           stamps * (2 * self.half_width + 1)**2)
 
 

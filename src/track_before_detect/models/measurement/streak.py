@@ -93,10 +93,6 @@ class StreakPsf(Psf):
             exposure=float(self.exposure), longest_smear=float(self.longest_px),
             times=np.array(self.times))
 
-    def n_kinds(self, graph: StateGraph) -> int:
-        """Return how many scores each position has, between which the velocity chooses."""
-        return len(streaks_of(graph, self)[0])
-
     def scores(self, graph: StateGraph, shape: tuple[int, int], amplitudes: AmplitudeModel,
                over_rows: OverRows) -> Scores:
         """Return the scores of all positions; see ``MeasurementModel``."""
@@ -107,7 +103,7 @@ class StreakPsf(Psf):
         streaks, _ = streaks_of(graph, self)
         n_places = sum(len(places_along(streak * self.oversampling)) for streak in streaks)
         return super().search_work(graph, is_complex)._replace(
-            streak_places=graph.n_frames * n_places)
+            n_kinds=len(streaks), streak_places=graph.n_frames * n_places)
 
 
 def streaks_of(graph: StateGraph, psf: StreakPsf) -> tuple[NDArray, NDArray[np.int64]]:

@@ -21,7 +21,7 @@ def affordable(graph: StateGraph, measurement: MeasurementModel, shape: tuple[in
     """Return whether the paths of a graph can be searched on a plane of a size (H, W)."""
     grid = sheared_shape(graph, grid_shape(measurement, shape))
     memory = table_bytes(graph, grid, presence)
-    n_kinds = measurement.n_kinds(graph)
+    n_kinds = measurement.search_work(graph, False).n_kinds
     if n_kinds > 1:
         # Streaks of each shape have scores of their own, which the table copies.
         memory += 8 * n_kinds * graph.n_frames * int(np.prod(grid))

@@ -53,16 +53,10 @@ class PathSearch:
 
     Parameters
     ----------
-    graph : StateGraph
-        The paths.
     scores : Scores
         What a position adds to the value of a path.
-    model : AmplitudeModel
-        Of the amplitudes.
-    presence : Presence, optional
-        Cost of being present, where targets may enter and leave during the batch.
-    n_threads : int
-        Threads that share the rows of the grid.
+    graph, model, presence, n_threads
+        As there.
     """
 
     def __init__(self, graph: StateGraph, scores: Scores, model: AmplitudeModel,

@@ -145,6 +145,8 @@ class ViterbiTable:
         everything = ~np.uint64(0) >> np.uint64(BLOCKS - self._n_blocks)
         self._compute(np.full_like(self._stale, everything),
                       np.full_like(self._stale_ends, everything))
+        self._stale.fill(0)
+        self._stale_ends.fill(0)
         self._filled = True
         return float(self.best.max())
 
@@ -171,6 +173,8 @@ class ViterbiTable:
             if COST_OF_UPDATE * viterbi_update.count_blocks(wanted.ravel()) > n_all:
                 return self._fill()
             self._compute(wanted, wanted_ends)
+            self._stale &= ~wanted
+            self._stale_ends &= ~wanted_ends
             for of_end in zip(known, bound, self.best, self._stale_ends, strict=True):
                 self._over_rows(viterbi_update.largest_by_row, *of_end, self._layout)
             largest = float(known.max())
@@ -197,7 +201,7 @@ class ViterbiTable:
         """
         positions = np.empty((limit, self._graph.n_frames, 2))
         velocities = np.zeros((limit, self._graph.n_frames), np.int64)
-        values, turns = np.empty(limit, np.float32), np.empty(limit, np.int64)
+        values, turns = np.empty(limit), np.empty(limit, np.int64)
         n_found = viterbi_backtrack.best_paths(
             positions, velocities, values, turns, self.best, self._tables, self._scores,
             self._motion, self._layout, max(above, float(ABSENT)), radius)
@@ -227,7 +231,7 @@ class ViterbiTable:
         return j - self._graph.n_segments + self._n_ends
 
     def _compute(self, wanted: NDArray, wanted_ends: NDArray) -> None:
-        """Compute the wanted states (J, Y, V) and ends (E, Y), which are then no longer stale.
+        """Compute the wanted states (J, Y, V) and ends (E, Y).
 
         Where an end is wanted, the states of all velocities have to be.
         """
@@ -240,8 +244,6 @@ class ViterbiTable:
             self._over_rows(viterbi.extend_paths, value, best, before, self._scores, segment,
                             self._layout, self._end_costs[j], wanted[j], finished)
             before = value
-        self._stale &= ~wanted
-        self._stale_ends &= ~wanted_ends
 
     def _mark_changes(self, scores: NDArray, rows: NDArray, per_frame: float) -> float:
         """Keep new scores, mark the states that meet a change; return what a path may gain."""
@@ -257,8 +259,7 @@ class ViterbiTable:
                             self._graph.moves[frames], self._segments[j], layout)
             before = stale
             if self._end_of(j) >= 0:
-                self._over_rows(viterbi_update.any_velocity, self._stale_ends[self._end_of(j)],
-                                stale)
+                self._stale_ends[self._end_of(j)] |= np.bitwise_or.reduce(stale, axis=1)
         # A sum of n numbers is wrong by n roundings of their sizes, in the old and in the new.
         size = float(self._largest.max(axis=0).sum())
         if self._end_costs[0] is not None:
