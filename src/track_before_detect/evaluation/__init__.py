@@ -5,17 +5,19 @@ report, ``studies`` has a folder for each study of ``tbd evaluate`` and ``benchm
 each bench of ``tbd bench``. Only these two commands import this room, so that it could become a
 distribution of its own. These are the doors of the rest that it goes through:
 
-- for everything: ``errors``, ``options``, ``parallel``, ``types``, ``recordings.result_files``;
+- for everything: ``atomic_files``, ``errors``, ``options``, ``parallel``, ``types``,
+  ``recordings.result_files``;
 - scenes: ``simulation.motions``, ``simulation.scenarios``, ``simulation.sensor``;
-- detectors: ``tracking.pipeline``, ``solvers.batch_detector``, ``solvers.calibration.threshold``;
+- detectors: ``tracking.pipeline``, ``solvers.batch_detector``,
+  ``solvers.calibration.noise_study``;
 - the methods of the papers, whose parts are measured: ``models.motion.transition_sets``,
   ``models.motion.velocity_candidates``, ``solvers.cancellation.mt_dp``,
   ``solvers.cancellation.pc_dp``, ``solvers.cancellation.target_cancellation``,
   ``solvers.pixel_statistics``, ``solvers.ring.dynamic_programming``,
   ``solvers.ring.merit_functions``;
-- what benches take apart: ``models.amplitudes``, ``models.measurement.psf``,
-  ``models.motion.state_graph``, ``models.motion.velocity_grid``, ``solvers.convex.detector``,
-  ``solvers.given_paths.fit_paths``, ``solvers.search.path_search``,
-  ``solvers.search.viterbi_table``, ``solvers.velocity.shift_and_stack``;
+- what benches take apart: ``models.amplitudes``, ``models.measurement.base``,
+  ``models.measurement.psf``, ``models.motion.state_graph``, ``models.motion.velocity_grid``,
+  ``solvers.convex.detector``, ``solvers.given_paths.fit_paths``, ``solvers.search.viterbi_table``,
+  ``solvers.velocity.shift_and_stack``;
 - flags of its one compiled loop: ``kernels.compile_flags``.
 """

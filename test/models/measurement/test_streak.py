@@ -19,6 +19,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.simulation.sensor import add_streak
 from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.solvers.search.path_search import path_search
 from track_before_detect.solvers.search.viterbi_table import RowThreads, ViterbiTable
 
 T, SHAPE = 6, (32, 64)
@@ -210,8 +211,10 @@ def test_dim_streak_stands_out_more_when_it_is_searched_as_one():
     searches = []
     for exposure in (EXPOSURE, 0.0):
         detector = ConvexDetector(DetectorOptions(threshold=9.0, exposure_s=exposure, **OPTIONS))
-        task = detector.graph(STAMPS, SHAPE)
-        searches.append(detector._new_search(task, detector._seen_psf(STAMPS), SHAPE, 1))
+        psf = detector.measurement
+        if exposure:
+            psf = StreakPsf(psf, EXPOSURE, EXPOSURE * 8.0, tuple(STAMPS))
+        searches.append(path_search(detector.graph(STAMPS, SHAPE), psf, SHAPE, detector.model))
     noise = generator.standard_normal((12, T, *SHAPE)).astype(np.float32)
     path = np.array([12.2, 12.3]) + VELOCITY * STAMPS[:, None]
     target = scene(4.0, path, VELOCITY).astype(np.float32)

@@ -25,8 +25,8 @@ def two_sensors(shape):
     sensors = [Sensor(np.zeros((10, *shape)), np.arange(10) + 0.3 * number,
                       [[1, 0, 5.0 * number], [0, 1, 0]], 1.0) for number in range(2)]
     array = SensorArray(sensors, DetectorOptions())
-    view = array.view(np.arange(len(array)))
-    return ConvexDetector(DetectorOptions(), view).noise_study(array.stamps, view.shape)
+    detector = ConvexDetector(DetectorOptions(), array.measurement)
+    return detector.noise_study(array.stamps, array.measurement.shape)
 
 
 @pytest.mark.parametrize(('shape', 'make'), [

@@ -6,7 +6,7 @@ import pytest
 from enumeration import best_in_any_frames
 import naive
 from track_before_detect.errors import ParameterError
-from track_before_detect.models.amplitudes import AmplitudeModel
+from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.base import grid_shape
 from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import GaussianPsf
@@ -31,7 +31,7 @@ SENSOR = np.array([0, 1, 0, 1])
 
 def amplitudes_of(kind):
     name, _, constant = kind.partition(' ')
-    return AmplitudeModel.named(name, constant or 'fluctuating')
+    return amplitude_model(name, constant or 'fluctuating')
 
 
 class Combination:
@@ -54,7 +54,7 @@ class Combination:
         elif seen == 'sensors':
             self.psf = MultiSensor((GaussianPsf(2.0), GaussianPsf(2.3)), SHAPES, SENSOR,
                                    MAPS[SENSOR], SHAPE)
-            pixels = self.psf.frame_shape
+            pixels = self.psf.frame_shape(SHAPE)
         else:
             self.psf = GaussianPsf(2.0)
             self.graph = build_range_doppler_graph(
