@@ -21,7 +21,7 @@ MODULES = sorted(SOURCE.rglob('*.py'))
 # Rooms of the package to the rooms of the package they may import, beside their own. The file
 # names without a suffix are modules; everything else is a folder.
 BASICS = {'errors', 'array_option', 'atomic_files', 'capabilities', 'checks', 'types', 'options',
-          'geometry', 'parallel'}
+          'geometry', 'parallel', 'timestamps'}
 ALLOWED = {
     '__init__': BASICS | {'detection', 'models', 'solvers'},
     'errors': set(),
@@ -29,6 +29,7 @@ ALLOWED = {
     'types': set(),
     'atomic_files': set(),
     'parallel': set(),
+    'timestamps': set(),
     'array_option': {'errors', 'recordings'},
     'checks': {'errors'},
     'options': {'errors', 'array_option', 'checks'},

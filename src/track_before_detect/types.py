@@ -124,6 +124,8 @@ class DetectionResult:
         such stage was run.
     n_batches : int
         Batches that were searched.
+    remarks : list of str
+        What was done with frames that could not be searched as they came, a sentence each.
     """
 
     trajectories: list[Trajectory]
@@ -132,3 +134,4 @@ class DetectionResult:
     history: list[Step] = field(default_factory=list)
     gap: float = float('nan')
     n_batches: int = 1
+    remarks: list[str] = field(default_factory=list)

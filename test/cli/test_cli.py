@@ -106,6 +106,16 @@ def test_detect_finds_the_target_of_a_simulated_recording(tmp_path, capsys):
     assert 'trajectories.csv' in capsys.readouterr().out
 
 
+def test_detect_says_and_writes_which_frame_is_left_out(tmp_path, caplog):
+    frames = np.random.default_rng(0).standard_normal((6, 16, 20))
+    np.savez(tmp_path / 'a.npz', frames=frames, stamps=[0, 1, 2, 0, 4, 5])
+    run('detect', tmp_path / 'a.npz', '--output', tmp_path / 'out', '--set', 'threshold=9')
+    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    [remark] = summary['remarks']
+    assert 'frame 3 is left out' in remark and remark in caplog.text
+    assert summary['median_interval_s'] == 1
+
+
 def test_detect_writes_all_files_and_prints_a_table(recording_file, stand_in, tmp_path, capsys):
     output = tmp_path / 'deep' / 'out'
     assert run('detect', recording_file, '--output', output) == 0
@@ -119,6 +129,7 @@ def test_detect_writes_all_files_and_prints_a_table(recording_file, stand_in, tm
     assert summary['options'] == json.loads(json.dumps(dataclasses.asdict(stand_in.options)))
     assert (summary['threshold'], summary['status'], summary['gap']) == (8.5, 'converged', None)
     assert (summary['n_frames'], summary['n_trajectories']) == (6, 2)
+    assert summary['remarks'] == []
 
 
 def test_nothing_found_is_exit_code_3_with_the_header_alone(recording_file, stand_in, tmp_path):

@@ -44,6 +44,20 @@ def test_a_replayed_file_arrives_bit_for_bit_with_its_stamps(
         np.testing.assert_array_equal(conversions.frame_from_image(message), frame)
 
 
+def test_a_file_with_wrong_stamps_is_played_to_its_end(launch, station, tmp_path):
+    frames = np.arange(5 * 7 * 9, dtype=np.float32).reshape(5, 7, 9)
+    np.savez(tmp_path / 'recording.npz', frames=frames, stamps=[0.0, 10.0, np.nan, 10.2, 5.0])
+    messages = station.listen(Image, 'image', RELIABLE)
+    publisher = launch(
+        'frame_publisher', '-p', f'input:={tmp_path / "recording.npz"}', '-p', 'rate_hz:=100.0',
+        '-p', 'original_stamps:=true')
+    station.wait_until(lambda: len(messages) == 5, 'five frames')
+    assert publisher.wait() == 0
+    assert '2 of 5 stamps do not increase' in publisher.output
+    stamps = [conversions.seconds_from_time(message.header.stamp) for message in messages]
+    np.testing.assert_allclose(stamps, [0.0, 10.0, 10.1, 10.2, 10.2])
+
+
 def test_a_scenario_arrives_as_plain_frames_with_its_truth(launch, station):
     frames = station.listen(Float32MultiArray, 'frame', RELIABLE)
     truth = station.listen(Path, 'truth/path', LATCHED)

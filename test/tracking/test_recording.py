@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 
 import track_before_detect as tbd
-from track_before_detect.tracking.recording import batch_starts
+from track_before_detect.options import DetectorOptions
+from track_before_detect.recordings.npz import write_npz_recording
+from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.tracking.recording import batches, detect_recording
 
 OPTIONS = {'threshold': 12.0}
 
@@ -23,11 +26,13 @@ def moving_target(n_frames, amplitude=6.0, seed=1, shape=(32, 64)):
 @pytest.mark.parametrize(('n_frames', 'length', 'hop'), [
     (10, 20, 10), (20, 20, 10), (21, 20, 10), (50, 20, 7), (40, 20, 20)])
 def test_batches_cover_every_frame_and_end_with_the_last(n_frames, length, hop):
-    starts = batch_starts(n_frames, length, hop)
-    covered = {index for start in starts for index in range(start, min(start + length, n_frames))}
-    assert covered == set(range(n_frames))
+    frames = np.zeros((n_frames, 2, 2))
+    made = list(batches(frames, [np.arange(n_frames)], np.arange(float(n_frames)), length, hop))
+    starts = [int(batch.frame_indices[0]) for batch in made]
+    assert {index for batch in made for index in batch.frame_indices} == set(range(n_frames))
     assert starts == sorted(set(starts))
     assert starts[-1] == max(0, n_frames - length)
+    assert all(len(batch) == min(length, n_frames) for batch in made)
 
 
 @pytest.mark.parametrize('options', [
@@ -73,6 +78,61 @@ def test_dropped_frames_do_not_shift_the_target():
     result = tbd.detect(frames[keep], stamps=keep.astype(float), **OPTIONS)
     assert len(result.trajectories) == 1
     assert np.hypot(*(result.trajectories[0].positions - truth[keep]).T).max() < 1.5
+
+
+@pytest.mark.parametrize('stamps', [[0.0, 1.0, 1.0], [0.0, 2.0, 1.0], [0.0, np.nan, 2.0]])
+def test_stamps_of_an_array_that_do_not_increase_are_refused(stamps):
+    with pytest.raises(tbd.DataError, match='stamps must'):
+        tbd.detect(np.zeros((3, 8, 8)), stamps, **OPTIONS)
+    with pytest.raises(tbd.DataError, match='stamps of sensor 0 must'):
+        tbd.detect_sensors([tbd.Sensor(np.zeros((3, 8, 8)), stamps)], **OPTIONS)
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    """Return a function from frames and stamps to what is found in their file."""
+    def found(frames, stamps, **options):
+        write_npz_recording(tmp_path / 'a.npz', frames, stamps)
+        with open_recording(tmp_path / 'a.npz') as recording:
+            return detect_recording(recording, DetectorOptions(**OPTIONS, **options))
+    return found
+
+
+@pytest.mark.parametrize('wrong', [0.0, 0.36, np.nan, 1e9])
+def test_a_wrong_stamp_of_a_recording_costs_its_frame(recorded, caplog, wrong):
+    frames, truth = moving_target(30)
+    stamps = 0.04 * np.arange(30)
+    stamps[10] = wrong
+    result = recorded(frames, stamps)
+    [trajectory] = result.trajectories
+    seen = np.isfinite(trajectory.positions[:, 0])
+    assert np.flatnonzero(~seen).tolist() == [10]
+    assert np.hypot(*(trajectory.positions - truth)[seen].T).max() < 1.5
+    [remark] = result.remarks
+    assert 'frame 10 is left out' in remark and remark in caplog.text
+
+
+def test_a_recording_is_searched_apart_before_and_after_a_pause(recorded):
+    frames, truth = moving_target(40)
+    stamps = 0.04 * np.arange(40)
+    stamps[20:] += 600
+    result = recorded(frames, stamps, batch_length=20)
+    assert result.n_batches == 2
+    assert 'before and after pauses: 600 s before frame 20' in result.remarks[0]
+    found = sum(np.isfinite(one.positions[:, 0]).astype(int) for one in result.trajectories)
+    np.testing.assert_array_equal(found, 1)
+
+
+def test_nanoseconds_are_searched_as_seconds(recorded):
+    frames, _ = moving_target(20)
+    result = recorded(frames, 40_000_000 * np.arange(20))
+    assert result.trajectories[0].velocity[:, 0].mean() == pytest.approx(0.7 / 0.04, rel=0.1)
+    assert result.remarks == ['stamps of a.npz are read as nanoseconds']
+
+
+def test_a_recording_played_backwards_is_refused(recorded):
+    with pytest.raises(tbd.DataError, match='stamps must increase'):
+        recorded(moving_target(10)[0], -np.arange(10.0))
 
 
 def test_time_unit_changes_nothing_but_the_velocity():

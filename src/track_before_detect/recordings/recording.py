@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.errors import DataError
+from track_before_detect.timestamps import in_seconds
 
 # Frames kept for the overlap of successive batches; 20 frames of 1024 x 1024 float32 fit.
 CACHE_BYTES = 128 * 2**20
@@ -43,11 +44,17 @@ class Recording:
     source : FrameSource
         Reads one frame.
     stamps : array, shape (T,), or None
-        Seconds; None makes them up as 1 s apart.
+        In seconds, or in a smaller unit that is told by their size; kept as they are where they
+        do not increase. None makes them up as 1 s apart.
     truth : array, shape (N, 4), or None
         Rows [frame, id, x, y].
     frame_id : str
         Coordinate frame of the sensor.
+
+    Attributes
+    ----------
+    remarks : list of str
+        What was made of stamps that are no seconds, a sentence each.
     """
 
     def __init__(self, name: str, shape: tuple[int, int], dtype: np.dtype, n_frames: int,
@@ -64,7 +71,7 @@ class Recording:
         self.shape = (int(shape[0]), int(shape[1]))
         self.dtype = dtype
         self.stamps_known = stamps is not None
-        self.stamps = _checked_stamps(name, stamps, n_frames)
+        self.stamps, self.remarks = _checked_stamps(name, stamps, n_frames)
         self.truth = None if truth is None else _checked_truth(name, truth)
         self.frame_id = frame_id
         self._source = source
@@ -108,10 +115,11 @@ class Recording:
         self.close()
 
 
-def _checked_stamps(name: str, stamps: ArrayLike | None, n_frames: int) -> NDArray[np.float64]:
-    """Return stamps as float64, made up when there are none."""
+def _checked_stamps(name: str, stamps: ArrayLike | None,
+                    n_frames: int) -> tuple[NDArray[np.float64], list[str]]:
+    """Return stamps in seconds, made up when there are none, and what was made of them."""
     if stamps is None:
-        return np.arange(n_frames, dtype=np.float64)
+        return np.arange(n_frames, dtype=np.float64), []
     stamps = np.asarray(stamps)
     if stamps.dtype.kind not in 'iuf':
         raise DataError(f'stamps of {name} must be real numbers (seconds), got {stamps.dtype}')
@@ -119,18 +127,10 @@ def _checked_stamps(name: str, stamps: ArrayLike | None, n_frames: int) -> NDArr
         raise DataError(
             f'{name} must have one stamp per frame ({n_frames}), got an array of shape '
             f'{stamps.shape}')
-    stamps = stamps.astype(np.float64)
-    bad = np.flatnonzero(~np.isfinite(stamps))
-    if len(bad):
-        raise DataError(
-            f'stamps of {name} must be finite, got {stamps[bad[0]]} at frame {bad[0]}')
-    bad = np.flatnonzero(np.diff(stamps) <= 0)
-    if len(bad):
-        k = int(bad[0]) + 1
-        raise DataError(
-            f'stamps of {name} must be strictly increasing, got {float(stamps[k])!r} s at frame '
-            f'{k} after {float(stamps[k - 1])!r} s')
-    return stamps
+    seconds, unit = in_seconds(stamps)
+    if not np.isfinite(seconds).any():
+        raise DataError(f'stamps of {name} must be finite, got {seconds[0]} at frame 0')
+    return seconds, [] if unit == 'seconds' else [f'stamps of {name} are read as {unit}']
 
 
 def _checked_truth(name: str, truth: ArrayLike) -> NDArray[np.float64]:

@@ -26,7 +26,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import PointCloud2
 
-from track_before_detect.checks import checked_number
+from track_before_detect.checks import checked_number, checked_stamps
 from track_before_detect.cli.console import (
     add_set_argument,
     assignments,
@@ -216,6 +216,8 @@ def _run(arguments: Namespace, status: StatusLine) -> int:
     output.mkdir(parents=True, exist_ok=True)
     source = arguments.input or _simulated(output)
     with open_recording(source, arguments.topic) as recording:
+        # What was found is told apart by the stamps of the frames.
+        checked_stamps(recording.stamps, len(recording), f'stamps of {recording.name}')
         print(f'{recording.name}: {len(recording)} frames of {recording.shape[0]} x '
               f'{recording.shape[1]} px', flush=True)
         heard = _play(arguments, options, Path(source), recording, output, status)

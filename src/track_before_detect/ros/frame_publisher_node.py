@@ -33,6 +33,7 @@ from track_before_detect.ros import conversions
 from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
 from track_before_detect.ros.running import run
 from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.timestamps import pieces
 
 OUTPUT_DEPTH = 20
 ACKNOWLEDGE_TIMEOUT_S = 5.0
@@ -134,7 +135,7 @@ class FramePublisherNode(ParameterizedNode):
         if values['input']:
             self._recording = recording = open_recording(values['input'], values['topic'] or None)
             self._frames, self._title = recording, recording.name
-            self._stamps, self._truth = recording.stamps, recording.truth
+            self._stamps, self._truth = self._playable(recording.stamps), recording.truth
             self._frame_id = self._frame_id or recording.frame_id
         elif values['topic']:
             raise DataError(
@@ -150,6 +151,17 @@ class FramePublisherNode(ParameterizedNode):
         # What cannot be sent is said at once, not in the middle of playing.
         conversions.sendable(self._frames[0])
         conversions.time_from_seconds(float(self._stamps[-1]))
+
+    def _playable(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return stamps that never jump back, wrong ones replaced by what lies between others."""
+        [increasing], _ = pieces(stamps)
+        n_wrong = len(stamps) - len(increasing)
+        if not n_wrong:
+            return stamps
+        self.get_logger().warning(
+            f'{n_wrong} of {len(stamps)} stamps do not increase; their frames are played between '
+            'those around them')
+        return np.interp(np.arange(len(stamps)), increasing, stamps[increasing])
 
     def _times_of_pass(self) -> NDArray[np.float64]:
         """Return when each frame is due, in seconds from the start of a pass."""

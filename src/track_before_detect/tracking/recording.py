@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 import logging
 from typing import Protocol
 
@@ -10,7 +12,10 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
+from track_before_detect.solvers.batch_detector import median_interval
+from track_before_detect.timestamps import pieces
 from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.tracking.repeated_frames import RepeatedFrames
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Step, Trajectory
 
 _LOG = logging.getLogger(__name__)
@@ -37,14 +42,43 @@ class BatchPipeline(Protocol):
         """Find the trajectories of one batch, with the ids of the batches before."""
 
 
-def batch_starts(n_frames: int, length: int, hop: int) -> list[int]:
-    """Return the first frame of each batch; the last batch ends with the last frame."""
-    if n_frames <= length:
-        return [0]
-    starts = list(range(0, n_frames - length + 1, hop))
-    if starts[-1] + length < n_frames:
-        starts.append(n_frames - length)
-    return starts
+def batches(recording: FrameSequence, pieces: Sequence[NDArray[np.int64]],
+            stamps: NDArray[np.float64], length: int, hop: int,
+            repeats: Callable[[NDArray], bool] = lambda frame: False) -> Iterator[FrameBatch]:
+    """Yield the overlapping batches of a recording; the last of each piece ends with its end.
+
+    Parameters
+    ----------
+    recording : FrameSequence
+        Read frame by frame, forwards; at most one batch is held.
+    pieces : sequence of array of int
+        Numbers of the frames that are searched together.
+    stamps : array, shape (T,)
+        Seconds.
+    length, hop : int
+        Frames of a batch, and from one to the next.
+    repeats : callable
+        Told each frame, says whether it holds nothing new and is passed over.
+    """
+    for piece in pieces:
+        held: deque[tuple[int, NDArray]] = deque(maxlen=length)
+        n_new = 0
+        for index in piece.tolist():
+            frame = np.asarray(recording[index])
+            if repeats(frame):
+                continue
+            held.append((index, frame))
+            n_new += 1
+            if len(held) == length and n_new >= hop:
+                n_new = 0
+                yield _batch(held, stamps)
+        if n_new:
+            yield _batch(held, stamps)
+
+
+def _batch(held: Iterable[tuple[int, NDArray]], stamps: NDArray[np.float64]) -> FrameBatch:
+    indices = np.array([index for index, _ in held])
+    return FrameBatch(np.stack([frame for _, frame in held]), stamps[indices], indices)
 
 
 def detect_recording(recording: FrameSequence, options: DetectorOptions,
@@ -72,24 +106,32 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     n_frames = len(recording)
     length = min(options.batch_length or n_frames, n_frames)
     hop = min(options.hop or max(1, length // 2), length)
-    starts = batch_starts(n_frames, length, hop)
     stamps = np.asarray(recording.stamps, float)
-    pipeline = pipeline or TrackingPipeline(options)
+    repeated = RepeatedFrames()
+    if pipeline is None:
+        pipeline = TrackingPipeline(options)
+        [increasing], _ = pieces(stamps)
+        if len(increasing) < min(2, n_frames):
+            raise DataError(f'stamps must increase, got {n_frames} that do not')
+        parts, remarks = pieces(stamps, length * median_interval(stamps[increasing]))
+        cut = batches(recording, parts, stamps, length, hop, repeated.repeats)
+    else:
+        # Frames of several sensors may share a stamp, and follow one another as they come.
+        remarks = []
+        cut = batches(recording, [np.arange(n_frames)], stamps, length, hop)
+    remarks = [*getattr(recording, 'remarks', []), *remarks]
+    for remark in remarks:
+        # Said before the search: it may fail for the same reason.
+        _LOG.warning('%s', remark)
     joined = _Joined(stamps)
     history: list[Step] = []
     status, threshold, gap = 'converged', 0.0, float('nan')
     n_searched = 0
-    held: dict[int, NDArray] = {}
-    for number, start in enumerate(starts):
-        held = {index: held[index] if index in held else np.asarray(recording[index])
-                for index in range(start, start + length)}
-        indices = np.arange(start, start + length)
-        batch = FrameBatch(
-            np.stack([held[int(index)] for index in indices]), stamps[indices], indices)
-        if not np.isfinite(batch.frames).any() and len(starts) > 1:
+    for batch in cut:
+        if not np.isfinite(batch.frames).any() and len(batch) < n_frames:
             # A gap in the recording ends no more than the trajectories that reach into it.
             _LOG.warning('frames %d to %d hold no finite pixel and are passed over',
-                         start, start + length - 1)
+                         batch.frame_indices[0], batch.frame_indices[-1])
             continue
         n_searched += 1
         result = pipeline.process(batch, progress)
@@ -100,10 +142,15 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         if result.status != 'converged':
             status = result.status
         if progress is not None:
-            progress('searching', (number + 1) / len(starts))
+            progress('searching', (int(batch.frame_indices[-1]) + 1) / n_frames)
     if not n_searched:
         raise DataError(f'no pixel of the {n_frames} frames is finite')
-    return DetectionResult(joined.trajectories(), threshold, status, history, gap, n_searched)
+    if repeated.count:
+        remarks.append(f'{repeated.count} of {n_frames} frames repeat the one before and are '
+                       'passed over')
+        _LOG.warning('%s', remarks[-1])
+    return DetectionResult(joined.trajectories(), threshold, status, history, gap, n_searched,
+                           remarks)
 
 
 class _Joined:
