@@ -9,6 +9,7 @@ PACKAGE = 'track_before_detect'
 EXTRAS = {
     'readers': ['pillow', 'tifffile', 'astropy', 'rosbags'],
     'plots': ['matplotlib'],
+    'video': ['av>=12'],
     'cli': ['tqdm', 'pyyaml'],
     # Studies on all cores, and on a cluster.
     'parallel': ['joblib>=1.4'],
