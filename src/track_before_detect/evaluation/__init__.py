@@ -1,4 +1,4 @@
-"""Studies over many simulated recordings, and timings: code that the user of a robot never loads.
+"""Studies over many recordings, and timings: code that the user of a robot never loads.
 
 ``metrics`` judge trajectories, the ``engine`` carries out the runs of a study and writes its
 report, ``studies`` has a folder for each study of ``tbd evaluate`` and ``benchmarks`` a file for
@@ -7,6 +7,9 @@ distribution of its own. These are the doors of the rest that it goes through:
 
 - for everything: ``atomic_files``, ``errors``, ``options``, ``parallel``, ``types``,
   ``recordings.result_files``;
+- recordings with truth: ``recordings.images``, ``recordings.open_recording``,
+  ``recordings.read_errors``, ``recordings.recording``, ``recordings.video``,
+  ``tracking.recording``;
 - scenes: ``simulation.motions``, ``simulation.scenarios``, ``simulation.sensor``;
 - detectors: ``tracking.pipeline``, ``solvers.batch_detector``,
   ``solvers.calibration.noise_study``;

@@ -17,9 +17,10 @@ from track_before_detect.recordings.images import (
 from track_before_detect.recordings.npz import open_npz
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.recordings.rosbag import BAG_SUFFIXES, find_bag, open_rosbag
+from track_before_detect.recordings.video import open_video, VIDEO_SUFFIXES
 
-SUPPORTED = ('.npz, a folder of images, multi-page .tif, .fits, or a rosbag2 (a folder, .db3 or '
-             '.mcap)')
+SUPPORTED = ('.npz, a folder of images, multi-page .tif, .fits, a video (.mp4, .avi, .mkv, .mov), '
+             'or a rosbag2 (a folder, .db3 or .mcap)')
 
 
 def open_recording(path: str | os.PathLike, topic: str | None = None) -> Recording:
@@ -29,7 +30,8 @@ def open_recording(path: str | os.PathLike, topic: str | None = None) -> Recordi
     ----------
     path : path
         ``.npz`` with ``frames`` (T, H, W) and optionally ``stamps`` or ``fps``, and ``truth``;
-        a folder of images; a multi-page TIFF; a FITS cube; a rosbag2 folder or storage file.
+        a folder of images; a multi-page TIFF; a FITS cube; a video file; a rosbag2 folder or
+        storage file.
     topic : str, optional
         Topic of a bag; may be left out when only one topic is suitable.
 
@@ -62,6 +64,8 @@ def open_recording(path: str | os.PathLike, topic: str | None = None) -> Recordi
             return open_tiff(path)
         if suffix in FITS_SUFFIXES:
             return open_fits(path)
+        if suffix in VIDEO_SUFFIXES:
+            return open_video(path)
     except PermissionError as error:
         raise DataError(f'{path} may not be read: {error.strerror}') from error
     if suffix in IMAGE_SUFFIXES:

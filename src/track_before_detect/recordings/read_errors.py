@@ -24,8 +24,10 @@ def read_errors(message: str, errors: tuple[type[Exception], ...]) -> Iterator[N
     except DataError:
         raise
     except errors as error:
-        # The first line says what is wrong; an error without words has a name at least.
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        # The first line says what is wrong, without the number and the path that the system's
+        # errors have around it; an error without words has a name at least.
+        said = getattr(error, 'strerror', None) or str(error).strip() or type(error).__name__
+        reason = said.splitlines()[0]
         raise DataError(f'{message}: {reason}') from error
 
 

@@ -187,7 +187,7 @@ def _parser() -> Parser:
         '130 interrupted')
     parser.add_argument(
         'input', metavar='INPUT', nargs='?',
-        help='.npz, folder of images, multi-page TIFF, FITS cube or rosbag2 (default: the '
+        help='.npz, folder of images, multi-page TIFF, FITS cube, video or rosbag2 (default: the '
         f'scenario {SCENARIO}, simulated on the spot)')
     add_set_argument(parser, 'set one option of the detector; may be repeated (tbd detect '
                      '--list-options names them)')

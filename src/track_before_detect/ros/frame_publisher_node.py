@@ -45,8 +45,8 @@ LATE_S = 0.5
 
 PARAMETERS = [
     NodeParameter(
-        'input', '', 'Recording to play: .npz, a folder of images, multi-page TIFF, FITS cube or '
-        'rosbag2; empty plays the scenario.', 'text'),
+        'input', '', 'Recording to play: .npz, a folder of images, multi-page TIFF, FITS cube, '
+        'video or rosbag2; empty plays the scenario.', 'text'),
     NodeParameter(
         'topic', '', 'Topic of a bag; empty takes the only suitable one.', 'text'),
     NodeParameter(

@@ -55,13 +55,20 @@ class Suite:
     description : str
         What it finds out.
     study : callable
-        Told the number of runs, the seed and a Runner, which have been checked.
+        Told the number of runs, the seed and a Runner, which have been checked; told ``data``,
+        too, if it needs them.
+    needs_data : bool
+        Whether it is made of recordings in a folder, not of simulated ones.
+    runs : int
+        How often it is repeated unless said otherwise.
     """
 
     description: str
-    study: Callable[[int, int, Runner], SuiteResult]
+    study: Callable[..., SuiteResult]
+    needs_data: bool = False
+    runs: int = 100
 
-    def run(self, runs: int, seed: int, runner: Runner) -> SuiteResult:
+    def run(self, runs: int, seed: int, runner: Runner, data: str | None = None) -> SuiteResult:
         """Carry out the study.
 
         Parameters
@@ -72,11 +79,17 @@ class Suite:
             Not negative; every run gets a seed of its own from it.
         runner : Runner
             Carries out the runs.
+        data : str, optional
+            Folder of recordings with truth, of a study that needs it and of no other.
         """
         if runs < 1:
             raise ParameterError(f'runs must be at least 1, got {runs}')
         if seed < 0:
             raise ParameterError(f'seed must not be negative, got {seed}')
-        result = self.study(runs, seed, runner)
+        if self.needs_data != (data is not None):
+            raise ParameterError(
+                '--data, a folder of recordings with truth, is for studies of real recordings '
+                f'alone; this one {"needs it" if self.needs_data else "simulates its own"}')
+        result = self.study(runs, seed, runner, **({} if data is None else {'data': data}))
         return dataclasses.replace(
             result, settings={'runs': runs, 'seed': seed, **result.settings})

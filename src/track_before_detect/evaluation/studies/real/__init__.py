@@ -1,0 +1,1 @@
+"""Recordings of real cameras whose targets are known."""

@@ -1,0 +1,118 @@
+"""The suite ``real`` on recordings made here."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from track_before_detect.errors import DataError
+from track_before_detect.evaluation.engine.report import write_suite_result
+from track_before_detect.evaluation.engine.runner import Runner
+from track_before_detect.evaluation.studies.real import runs as real_runs
+from track_before_detect.evaluation.studies.real.methods import METHODS, options_at
+from track_before_detect.evaluation.studies.real.suite import run_real
+
+OURS = {'threshold': 20.0, 'batch_length': 8, 'hop': 4}
+N_FRAMES = 12
+
+
+@pytest.fixture(scope='module')
+def folder(tmp_path_factory):
+    """Return a folder with a recording: a bright target that crosses unit noise."""
+    folder = tmp_path_factory.mktemp('data')
+    frames = np.random.default_rng(3).normal(size=(N_FRAMES, 40, 50))
+    row, column = np.indices(frames.shape[1:])
+    truth = np.array([[k, 0, 10 + 0.5 * k, 20] for k in range(N_FRAMES)])
+    for k, _, x, y in truth:
+        frames[int(k)] += 30 * np.exp(-((column - x)**2 + (row - y)**2) / 2)
+    np.savez(folder / 'one.npz', frames=frames, truth=truth, fps=10.0)
+    return folder
+
+
+def item(folder, **changes):
+    return {'data': str(folder), 'recording': 'one', 'method': 'ours', 'options': OURS,
+            'snr': None, 'seed': 0, 'time_limit_s': 300.0, **changes}
+
+
+def test_limits_of_motion_per_frame_follow_the_rate():
+    options = options_at({'max_speed_px_frame': 4.0, 'max_acceleration_px_frame2': 0.16}, 0.04)
+    assert options.max_speed_px_s == pytest.approx(100)
+    assert options.max_acceleration_px_s2 == pytest.approx(100)
+    assert options_at({}, 0.04) == options_at({}, 1.0)
+
+
+def test_every_method_has_options_that_can_be_used():
+    for method in METHODS.values():
+        assert options_at(method, 1 / 30).detector == 'convex'
+
+
+def test_a_bright_target_is_followed(folder):
+    row = real_runs.search(item(folder))
+    assert row['status'] == 'converged'
+    assert (row['followed'], row['ids_per_target'], row['n_false']) == (1, 1, 0)
+    assert (row['n_frames'], row['n_batches'], row['n_labels']) == (N_FRAMES, 2, N_FRAMES)
+    assert (row['p_d'], row['f_a'], row['first_detection_frames']) == (1, 0, 0)
+    assert row['rmse_px'] < 0.2
+    assert 0 < row['seconds_per_frame'] < 10
+    json.dumps(row)
+
+
+def test_noise_is_added_until_the_target_is_as_dim_as_asked_for(folder):
+    row = real_runs.search(item(folder, snr=4.0))
+    assert row['sigma'] == pytest.approx(30 / 4, rel=0.15)
+    assert row['status'] == 'converged'
+
+
+def test_a_recording_that_is_dimmer_is_not_searched(folder):
+    row = real_runs.search(item(folder, snr=100.0))
+    assert row['status'] == real_runs.DIMMER
+    assert math.isnan(row['followed'])
+
+
+def test_a_method_that_refuses_has_found_nothing(folder):
+    row = real_runs.search(item(folder, options={'no_such_option': 1}))
+    assert row['status'].startswith('refused: ')
+    assert row['followed'] == 0
+
+
+def test_a_run_is_ended_in_time(folder):
+    row = real_runs.measure(item(folder, time_limit_s=0.01))
+    assert row['status'] == real_runs.NO_ANSWER
+    assert (row['followed'], row['n_batches']) == (0, 0)
+
+
+def test_a_run_that_breaks_says_why(folder):
+    row = real_runs.measure(item(folder, recording='absent'))
+    assert row['status'] == "failed: KeyError: 'absent'"
+
+
+def test_the_suite_reports_every_method_and_snr(folder, tmp_path):
+    pytest.importorskip('matplotlib')
+    said = []
+    result = run_real(
+        1, 5, Runner(lambda label, share: said.append(share)), data=str(folder),
+        methods={'ours': OURS, 'deaf': {**OURS, 'threshold': 1e9}}, snrs=(None, 4.0, 100.0))
+    assert [(row['method'], row['snr']) for row in result.rows] == [
+        (method, snr) for method in ('ours', 'deaf') for snr in (None, 4.0, 100.0)]
+    values = {quantity.name: quantity for quantity in result.quantities}
+    assert values['ours, as it is: frames followed'].value == 1
+    assert values['ours, as it is: recordings followed in 90 % of their frames'].value == 1
+    assert values['ours, as it is: false trajectories per batch'].trials == 2
+    assert values['ours, SNR 4: frames followed'].trials == 1
+    assert values['deaf, as it is: frames followed'].value == 0
+    assert math.isnan(values['deaf, as it is: position RMSE'].value)
+    # Recordings that are dimmer as they are say nothing about an SNR.
+    assert not any('SNR 100' in name for name in values)
+    assert said[-1] == 1
+    written = write_suite_result(tmp_path / 'out', 'real', result, 'tbd evaluate real')
+    report = (tmp_path / 'out' / 'report.md').read_text()
+    assert '| one | 100.0 % | 0 | 1 | 0 |' in report
+    assert '| archives | ours | 1 | 100 | 0 |' in report
+    assert {path.name for path in written} == {
+        'report.md', 'real.csv', 'real.png', 'summary.json'}
+
+
+def test_a_folder_without_recordings_is_refused(tmp_path):
+    with pytest.raises(DataError, match='holds no recording with truth'):
+        run_real(1, 5, Runner(lambda *_: None), data=str(tmp_path))
