@@ -5,6 +5,13 @@ All release the interpreter lock, so that plain threads share their work, and ar
 
 from typing import Any
 
+import numba
+import numpy as np
+
+# Of an offset: not checked for being negative. Without the compiler NumPy before 2 would make a
+# number of floating point of its sum with a plain integer.
+Offset: Any = int if numba.config.DISABLE_JIT else np.uint64
+
 # As the standard of floating point has it, with Python's errors.
 EXACT: dict[str, Any] = {'nogil': True, 'cache': True}
 # A division by zero gives infinity or NaN, as in NumPy, and is not checked for.

@@ -10,13 +10,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels.compile_flags import FINITE
+from track_before_detect.kernels.compile_flags import FINITE, Offset
 
 ABSENT = np.float32(-1e30)
 # In numbers of four bytes.
 CACHE_LINE = 16
 
-_U = np.uint64
+_U = Offset
 
 
 @numba.njit(**FINITE)

@@ -28,7 +28,7 @@ The loops over x are small functions of their own, see the module ``rows``.
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import FUSED_UNCHECKED
+from track_before_detect.kernels.compile_flags import FUSED_UNCHECKED, Offset
 from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
 from track_before_detect.kernels.rows import (
     ABSENT,
@@ -44,7 +44,7 @@ from track_before_detect.kernels.scores.score_rows import root, square, square_p
 # Part of the PSF that border and mask have to leave for a pixel to be searched.
 LEAST_PHI = np.float32(LEAST_SHARE)
 
-_U = np.uint64
+_U = Offset
 
 
 @numba.njit(**FUSED_UNCHECKED)

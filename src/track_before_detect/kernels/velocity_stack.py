@@ -28,10 +28,10 @@ final_sources, final_shifts : int32 (Vx, G)
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import APPROXIMATE
+from track_before_detect.kernels.compile_flags import APPROXIMATE, Offset
 from track_before_detect.kernels.rows import add_row, copy_row, fill_row
 
-_U = np.uint64
+_U = Offset
 # Columns searched together, and what an unrolled loop adds at once.
 BLOCK = 128
 STEP = 32

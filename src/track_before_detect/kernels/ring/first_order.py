@@ -15,10 +15,10 @@ loops over x are small functions of their own, see the module ``rows``.
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import FUSED
+from track_before_detect.kernels.compile_flags import FUSED, Offset
 from track_before_detect.kernels.rows import ABSENT, copy_row, larger_of_two, largest_of_three
 
-_U = np.uint64
+_U = Offset
 
 
 @numba.njit(**FUSED)

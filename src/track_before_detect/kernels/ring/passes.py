@@ -11,9 +11,9 @@ backward : float32 (K, H, W)
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import FUSED
+from track_before_detect.kernels.compile_flags import FUSED, Offset
 
-_U = np.uint64
+_U = Offset
 
 
 @numba.njit(**FUSED)

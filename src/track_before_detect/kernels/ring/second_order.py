@@ -24,14 +24,14 @@ x are small functions of their own, see the module ``rows``.
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import FUSED
+from track_before_detect.kernels.compile_flags import FUSED, Offset
 from track_before_detect.kernels.rows import ABSENT, copy_row
 
 # How the merit of the frame before and what is added to it from two frames before go on: their
 # mean, their sum, or the merit of the frame before alone.
 MEAN, SUM, FIRST = 0, 1, 2
 
-_U = np.uint64
+_U = Offset
 
 
 @numba.njit(**FUSED)

@@ -9,12 +9,12 @@ import math
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import REORDERED_FINITE
+from track_before_detect.kernels.compile_flags import Offset, REORDERED_FINITE
 from track_before_detect.kernels.psf.measurement import map_position
 from track_before_detect.kernels.psf.psf_profiles import fill_profiles
 from track_before_detect.kernels.scores.score_rows import score_row
 
-_U = np.uint64
+_U = Offset
 
 
 @numba.njit(**REORDERED_FINITE)

@@ -3,11 +3,11 @@
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import FUSED_UNCHECKED
+from track_before_detect.kernels.compile_flags import FUSED_UNCHECKED, Offset
 from track_before_detect.kernels.rows import add_row
 from track_before_detect.kernels.scores.score_rows import multiply, scale, score_row
 
-_U = np.uint64
+_U = Offset
 
 
 @numba.njit(**FUSED_UNCHECKED)
