@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 import dataclasses
 import json
+import math
 from pathlib import Path
 import subprocess
 import sys
@@ -32,11 +33,7 @@ from track_before_detect.evaluation.studies.real.methods import options_at
 from track_before_detect.evaluation.studies.real.peers.registry import peer_named
 from track_before_detect.parallel import at_most_cores, usable_cores
 from track_before_detect.tracking.pipeline import TrackingPipeline
-from track_before_detect.tracking.recording import (
-    batch_starts,
-    detect_recording,
-    FrameSequence,
-)
+from track_before_detect.tracking.recording import detect_recording, FrameSequence
 
 # Of a run whose recording is dimmer as it is than it was to be made.
 DIMMER = 'dimmer as it is'
@@ -109,7 +106,7 @@ def _found(item: Mapping[str, Any], labelled: LabelledRecording, frames: FrameSe
         find_tracks = peer_named(item['method'])
         started = time.perf_counter()
         tracks, status = find_tracks(frames), 'done'
-        n_batches = len(batch_starts(n_frames, PEER_BATCH, PEER_HOP))
+        n_batches = 1 + max(0, math.ceil((n_frames - PEER_BATCH) / PEER_HOP))
     else:
         options = options_at(item['options'], interval)
         pipeline = TrackingPipeline(options)
