@@ -49,6 +49,40 @@ def in_seconds(stamps: NDArray) -> tuple[NDArray[np.float64], str]:
     return stamps.astype(np.float64), 'seconds'
 
 
+def median_interval(stamps: NDArray) -> float:
+    """Return the median interval of stamps that differ, in their unit; 1 for a single one."""
+    moments = np.unique(stamps)
+    return float(np.median(np.diff(moments))) if len(moments) > 1 else 1.0
+
+
+def increasing_frames(stamps: NDArray) -> NDArray[np.int64]:
+    """Return the numbers of the most frames whose stamps increase strictly (patience sorting).
+
+    Parameters
+    ----------
+    stamps : array, shape (T,)
+        Seconds; those that are not finite are left out.
+    """
+    tails: list[int] = []
+    before = np.full(len(stamps), -1)
+    ends: list[float] = []
+    for k in np.flatnonzero(np.isfinite(stamps)).tolist():
+        stamp = float(stamps[k])
+        place = bisect_left(ends, stamp)
+        if place < len(ends) and stamp == ends[place]:
+            # Of two equal stamps the second is the wrong one.
+            continue
+        before[k] = tails[place - 1] if place else -1
+        tails[place:place + 1] = [k]
+        ends[place:place + 1] = [stamp]
+    chosen = []
+    last = tails[-1] if tails else -1
+    while last >= 0:
+        chosen.append(last)
+        last = int(before[last])
+    return np.array(chosen[::-1], np.int64)
+
+
 def pieces(stamps: NDArray, longest_pause_s: float | None = None,
            ) -> tuple[list[NDArray[np.int64]], list[str]]:
     """Return the frames whose stamps can be searched, cut at long pauses, and what was left out.
@@ -71,7 +105,7 @@ def pieces(stamps: NDArray, longest_pause_s: float | None = None,
         A sentence for each thing that was done.
     """
     remarks = []
-    kept = _longest_increasing(np.asarray(stamps, np.float64))
+    kept = increasing_frames(stamps)
     if len(kept) < len(stamps):
         bad = np.setdiff1d(np.arange(len(stamps)), kept)
         remarks.append(
@@ -91,28 +125,6 @@ def pieces(stamps: NDArray, longest_pause_s: float | None = None,
                            for a, b in zip(long_enough[:-1], long_enough[1:], strict=True))
         remarks.append(f'searched apart before and after pauses: {pauses}')
     return long_enough or found, remarks
-
-
-def _longest_increasing(stamps: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Return the numbers of the most stamps that increase strictly (patience sorting)."""
-    tails: list[int] = []
-    before = np.full(len(stamps), -1)
-    ends: list[float] = []
-    for k in np.flatnonzero(np.isfinite(stamps)).tolist():
-        stamp = float(stamps[k])
-        place = bisect_left(ends, stamp)
-        if place < len(ends) and stamp == ends[place]:
-            # Of two equal stamps the second is the wrong one.
-            continue
-        before[k] = tails[place - 1] if place else -1
-        tails[place:place + 1] = [k]
-        ends[place:place + 1] = [stamp]
-    chosen = []
-    last = tails[-1] if tails else -1
-    while last >= 0:
-        chosen.append(last)
-        last = int(before[last])
-    return np.array(chosen[::-1], np.int64)
 
 
 def _frames(numbers: NDArray[np.int64]) -> str:

@@ -41,7 +41,7 @@ from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.recordings.overlay import write_overlay
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
-from track_before_detect.timestamps import pieces
+from track_before_detect.timestamps import increasing_frames
 from track_before_detect.types import DetectionResult, Trajectory
 
 _EXAMPLES = """\
@@ -172,8 +172,7 @@ def _options_among_parameters(path: Path, parameters: Mapping[Any, Any]) -> dict
 
 def _summary(recording: Recording, options: DetectorOptions, result: DetectionResult,
              seconds: float) -> dict[str, Any]:
-    [increasing], _ = pieces(recording.stamps)
-    interval = np.diff(recording.stamps[increasing])
+    interval = np.diff(recording.stamps[increasing_frames(recording.stamps)])
     return {
         'input': recording.name,
         'n_frames': len(recording),

@@ -27,15 +27,20 @@ _GREY_PILLOW_MODES = ('L', 'I', 'F', 'I;16', 'I;16L', 'I;16B', 'I;16N')
 
 def open_image_folder(path: Path) -> Recording:
     """Open a folder in which every image is a frame, in natural order of their names."""
-    files = sorted((file for file in path.iterdir()
-                    if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith('.')),
-                   key=natural_key)
+    files = images_in(path)
     if not files:
         raise DataError(
             f'folder {path} holds neither images ({", ".join(IMAGE_SUFFIXES)}) nor a rosbag2')
     source = _FolderSource(files)
     first = source.read(0)
     return Recording(path.resolve().name, first.shape, first.dtype, len(files), source)
+
+
+def images_in(folder: Path) -> list[Path]:
+    """Return the images in a folder, in natural order of their names, without hidden ones."""
+    return sorted((file for file in folder.iterdir()
+                   if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith('.')),
+                  key=natural_key)
 
 
 def natural_key(file: Path) -> tuple[list[tuple[int, str]], str]:

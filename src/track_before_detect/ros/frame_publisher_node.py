@@ -33,7 +33,7 @@ from track_before_detect.ros import conversions
 from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
 from track_before_detect.ros.running import run
 from track_before_detect.simulation.scenarios import simulate
-from track_before_detect.timestamps import pieces
+from track_before_detect.timestamps import increasing_frames
 
 OUTPUT_DEPTH = 20
 ACKNOWLEDGE_TIMEOUT_S = 5.0
@@ -154,7 +154,7 @@ class FramePublisherNode(ParameterizedNode):
 
     def _playable(self, stamps: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return stamps that never jump back, wrong ones replaced by what lies between others."""
-        [increasing], _ = pieces(stamps)
+        increasing = increasing_frames(stamps)
         n_wrong = len(stamps) - len(increasing)
         if not n_wrong:
             return stamps

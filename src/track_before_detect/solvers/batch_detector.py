@@ -13,6 +13,7 @@ from track_before_detect.checks import check_kind
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.calibration.threshold import threshold_for
+from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress, Step
 
 # Relative difference of frame intervals that share a calibration.
@@ -78,11 +79,6 @@ class BatchDetector(ABC):
     options : DetectorOptions
         What to look for, and the threshold or the rate it follows from.
 
-    Attributes
-    ----------
-    earlier : Earlier or None
-        To be set before each batch; a detector that begins afresh takes no notice.
-
     Raises
     ------
     ParameterError
@@ -147,12 +143,6 @@ class BatchDetector(ABC):
         progress : callable, optional
             Told of a calibration.
         """
-
-
-def median_interval(stamps: NDArray) -> float:
-    """Return the median interval of stamps (s) that differ, 1 s for a single one."""
-    moments = np.unique(stamps)
-    return float(np.median(np.diff(moments))) if len(moments) > 1 else 1.0
 
 
 def max_speed(options: DetectorOptions, stamps: NDArray) -> float:

@@ -18,8 +18,9 @@ from track_before_detect.models.motion.state_graph import (
 )
 from track_before_detect.models.presence import Presence
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.batch_detector import median_interval, searched_speed
+from track_before_detect.solvers.batch_detector import searched_speed
 from track_before_detect.solvers.search.affordable import affordable
+from track_before_detect.timestamps import median_interval
 
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
 INTERVALS_TO_MAX_SPEED = 30

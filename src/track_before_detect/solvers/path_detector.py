@@ -23,7 +23,6 @@ from track_before_detect.solvers.batch_detector import (
     BatchResult,
     EarlierPaths,
     max_speed,
-    median_interval,
 )
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.calibration.path_noise import path_noise_study
@@ -33,6 +32,7 @@ from track_before_detect.solvers.graph_builder import GraphBuilder
 from track_before_detect.solvers.path_statistic import PathStatistic
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
 from track_before_detect.solvers.search.periodic_columns import columns_of, doppler_columns
+from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress
 
 # Longest streak over that of a target at the largest speed: velocities between frames differ from

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.batch_detector import median_interval
-from track_before_detect.timestamps import pieces
+from track_before_detect.timestamps import increasing_frames, median_interval, pieces
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.repeated_frames import RepeatedFrames
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Step, Trajectory
@@ -42,16 +41,16 @@ class BatchPipeline(Protocol):
         """Find the trajectories of one batch, with the ids of the batches before."""
 
 
-def batches(recording: FrameSequence, pieces: Sequence[NDArray[np.int64]],
+def batches(recording: FrameSequence, parts: Sequence[NDArray[np.int64]],
             stamps: NDArray[np.float64], length: int, hop: int,
             repeats: Callable[[NDArray], bool] = lambda frame: False) -> Iterator[FrameBatch]:
-    """Yield the overlapping batches of a recording; the last of each piece ends with its end.
+    """Yield the overlapping batches of a recording; the last of each part ends with its end.
 
     Parameters
     ----------
     recording : FrameSequence
         Read frame by frame, forwards; at most one batch is held.
-    pieces : sequence of array of int
+    parts : sequence of array of int
         Numbers of the frames that are searched together.
     stamps : array, shape (T,)
         Seconds.
@@ -60,10 +59,10 @@ def batches(recording: FrameSequence, pieces: Sequence[NDArray[np.int64]],
     repeats : callable
         Told each frame, says whether it holds nothing new and is passed over.
     """
-    for piece in pieces:
+    for part in parts:
         held: deque[tuple[int, NDArray]] = deque(maxlen=length)
         n_new = 0
-        for index in piece.tolist():
+        for index in part.tolist():
             frame = np.asarray(recording[index])
             if repeats(frame):
                 continue
@@ -110,7 +109,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     repeated = RepeatedFrames()
     if pipeline is None:
         pipeline = TrackingPipeline(options)
-        [increasing], _ = pieces(stamps)
+        increasing = increasing_frames(stamps)
         if len(increasing) < min(2, n_frames):
             raise DataError(f'stamps must increase, got {n_frames} that do not')
         parts, remarks = pieces(stamps, length * median_interval(stamps[increasing]))

@@ -11,11 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from track_before_detect.errors import DataError
 from track_before_detect.evaluation.studies.real.truth import Truth
-from track_before_detect.recordings.images import (
-    IMAGE_SUFFIXES,
-    natural_key,
-    read_image,
-)
+from track_before_detect.recordings.images import images_in, read_image
 
 # Masks number no targets: one farther than this from where all known ones were last is new.
 SAME_TARGET_PX = 20.0
@@ -66,8 +62,7 @@ def labels_of_masks(images: Path, masks: Path, shape: tuple[int, int]) -> Truth:
 def _images_in(folder: Path) -> list[Path]:
     if not folder.is_dir():
         raise DataError(f'folder {folder} does not exist')
-    return sorted((file for file in folder.iterdir() if file.suffix.lower() in IMAGE_SUFFIXES),
-                  key=natural_key)
+    return images_in(folder)
 
 
 def _same_targets(centres: NDArray[np.float64], last: NDArray[np.float64],
