@@ -133,12 +133,24 @@ class DetectorOptions:
         'zoom (affine) and a slope of the scene (homography).', kind='text',
         choices=('none', 'translation', 'affine', 'homography'))
     background: str = declared(
-        'none', 'How the background is removed.', kind='text',
-        choices=('none', 'temporal_median', 'spatial_median', 'temporal_spatial_median'))
+        'none', 'How the background is removed; either searches without the temporal and without '
+        'the spatial median, at half the rate each, for targets that move or hover.', kind='text',
+        choices=('none', 'temporal_median', 'spatial_median', 'temporal_spatial_median',
+                 'either'))
+    search_plane: str = declared(
+        'scene', 'Where paths are straight: scene is the registered plane, image the pixels of '
+        'the frames as they came, for cameras that follow their targets; registration then serves '
+        'the background alone.', kind='text', choices=('scene', 'image'))
     noise: str = declared(
         'none', 'How the noise level is found: none takes a standard deviation of 1, robust '
-        'estimates one number per frame, map one per pixel.', kind='text',
-        choices=('none', 'robust', 'map'))
+        'estimates one number per frame, map one per pixel, local one per pixel and frame from '
+        'what lies around.', kind='text', choices=('none', 'robust', 'map', 'local'))
+    calibration: str = declared(
+        'noise', 'Where the threshold comes from: noise searches simulated noise; clutter goes on '
+        'from the strongest paths of the batch itself, less its targets, where what is left of a '
+        'scene is no noise. Statistics are then in units of their threshold, which is 1, and what '
+        'lies on the border or lives in one frame is rejected.', kind='text',
+        choices=('noise', 'clutter'))
     variance: ArrayOption | None = declared(
         None, 'Variance of the noise of each pixel, an array (H, W) or (frames, H, W) or a file '
         '(.npy, .npz or an image); with noise=robust its scale does not matter. Where it is not '

@@ -68,6 +68,8 @@ class Trajectory:
         Mean over frames of the matched filter statistic, which has unit variance in noise: the
         signal-to-noise ratio in one frame. ``convex`` and ``greedy`` leave out the frames that
         hold no data where the target is.
+    reason : str
+        Why it is rejected; empty for a target.
     """
 
     id: int
@@ -78,6 +80,7 @@ class Trajectory:
     frame_indices: NDArray[np.int64]
     statistic: float
     snr: float
+    reason: str = ''
 
 
 @dataclass(frozen=True)
@@ -126,6 +129,9 @@ class DetectionResult:
         Batches that were searched.
     remarks : list of str
         What was done with frames that could not be searched as they came, a sentence each.
+    rejected : list of Trajectory
+        Candidates that are no target, each with its ``reason``, where the detector looks for
+        reasons (``calibration=clutter``): id 0.
     """
 
     trajectories: list[Trajectory]
@@ -135,3 +141,4 @@ class DetectionResult:
     gap: float = float('nan')
     n_batches: int = 1
     remarks: list[str] = field(default_factory=list)
+    rejected: list[Trajectory] = field(default_factory=list)

@@ -11,6 +11,7 @@ from track_before_detect.preprocess.background import temporal_median
 from track_before_detect.preprocess.resampling import warped_frames
 from track_before_detect.preprocess.robust import MAD_TO_DEVIATION, robust_deviation
 
+_RING_WIDTHS = 3, 7  # half sides of the ring of a pixel, in widths of a target
 _SMOOTHING_PX = 5  # side of the box over which the variance map is averaged
 
 
@@ -31,6 +32,43 @@ def frame_level(frames: NDArray, floor: float = 0.0) -> NDArray:
     """
     levels = [robust_deviation(frame, floor) for frame in frames]
     return np.array(levels)[:, None, None]
+
+
+def local_level(frames: NDArray, floor: float, width_px: float) -> NDArray:
+    """Return the noise level around each pixel of each frame.
+
+    The larger of the level of the frame and the root mean square in a square ring around the
+    pixel; the square inside it keeps a target from being scaled by itself. Leftovers of roofs and
+    tree lines then count as little as their surroundings say.
+
+    Parameters
+    ----------
+    frames : array, shape (T, H, W)
+        Real frames without background, NaN where masked.
+    floor : float
+        Least level, in the units of ``frames``.
+    width_px : float
+        Standard deviation of a target in pixels.
+
+    Returns
+    -------
+    array, shape (T, H, W)
+        Level; NaN for a frame that is masked entirely.
+    """
+    inner, outer = (2 * round(side * width_px) + 1 for side in _RING_WIDTHS)
+    level = np.broadcast_to(frame_level(frames, floor), frames.shape).astype(np.float32)
+    for frame, around in zip(frames, level, strict=True):
+        known = np.isfinite(frame)
+        power = np.where(known, frame, 0.0).astype(np.float32) ** 2
+        sums = [_box_sum(values, outer) - _box_sum(values, inner)
+                for values in (power, known.astype(np.float32))]
+        np.maximum(around, np.sqrt(np.maximum(sums[0], 0) / np.maximum(sums[1], 1)), out=around)
+    return level
+
+
+def _box_sum(values: NDArray, side: int) -> NDArray:
+    """Return the sum over the square of a side around each pixel."""
+    return ndimage.uniform_filter(values, side, mode='constant') * np.float32(side * side)
 
 
 def pixel_level(frames: NDArray, floor: float = 0.0) -> NDArray:

@@ -17,7 +17,12 @@ from track_before_detect.preprocess.background import (
     remove_temporal_median,
 )
 from track_before_detect.preprocess.given_pixels import given_level, masked_pixels
-from track_before_detect.preprocess.noise_level import frame_level, pixel_level, scene_level
+from track_before_detect.preprocess.noise_level import (
+    frame_level,
+    local_level,
+    pixel_level,
+    scene_level,
+)
 from track_before_detect.preprocess.registration import register
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
@@ -31,7 +36,8 @@ MOST_OVER_NOISE = 1e8
 _LEAST_FRAMES = 3  # that tell what stands still from what moves
 _LEAST_MESH_PX = 12  # cells this small follow the shading of a lens under a panning camera
 _MESH_SIGMAS = 8  # side of a cell, of which a target must cover little
-_OVER_TIME = {'background': ('temporal_median', 'temporal_spatial_median'), 'noise': ('map',)}
+_STILL_SCENE = ('temporal_median', 'temporal_spatial_median')
+_OVER_TIME = {'background': _STILL_SCENE, 'noise': ('map',)}
 
 _logger = logging.getLogger(__name__)
 
@@ -102,9 +108,10 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
     _check_options(options, prepared)
     if options.mask is not None:
         prepared = _masked(prepared, masked_pixels(options.mask, batch))
-    if options.registration != 'none':
+    on_plane = options.registration != 'none' and options.search_plane == 'scene'
+    if on_plane or (options.registration != 'none' and options.background in _STILL_SCENE):
         prepared = _registered(prepared, options.registration)
-    if options.background in ('temporal_median', 'temporal_spatial_median'):
+    if options.background in _STILL_SCENE:
         prepared = _without_still_scene(prepared)
     if options.background in ('spatial_median', 'temporal_spatial_median'):
         prepared = _without_shading(prepared, width_px)
@@ -113,11 +120,15 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
     if options.noise != 'none':
         is_whole = np.issubdtype(np.asarray(batch.frames).dtype, np.integer)
         prepared = _divided(prepared, _noise_level(
-            prepared, options.noise, _QUANTISED_FLOOR if is_whole else 0.0))
+            prepared, options.noise, _QUANTISED_FLOOR if is_whole else 0.0, width_px))
         prepared = _with_white_scale(prepared, width_px)
-    prepared = _weighted(prepared)
-    if options.registration != 'none':
+    if options.noise != 'local':
+        # Across the PSF of a target the level of its surroundings hardly changes.
+        prepared = _weighted(prepared)
+    if on_plane:
         prepared = _on_plane(prepared, options.registration)
+    elif len(prepared):
+        prepared = replace(prepared, maps=geometry.translations(np.zeros((len(prepared), 2))))
     _check_size(prepared.frames)
     return prepared
 
@@ -195,11 +206,14 @@ def _divided(prepared: PreparedBatch, level: NDArray) -> PreparedBatch:
     return replace(prepared, frames=frames, noise_level=prepared.noise_level * level)
 
 
-def _noise_level(prepared: PreparedBatch, method: str, floor: float) -> NDArray:
+def _noise_level(prepared: PreparedBatch, method: str, floor: float,
+                 width_px: float) -> NDArray:
     """Return the level that broadcasts to the frames, NaN where nothing is known."""
     parts, maps = _real_parts(prepared.frames), prepared.maps
     if method == 'robust':
         level = frame_level(parts, floor)
+    elif method == 'local':
+        level = local_level(parts, floor, width_px)
     elif np.array_equal(maps, np.broadcast_to(np.eye(3), maps.shape)):
         level = pixel_level(parts, floor)
     else:

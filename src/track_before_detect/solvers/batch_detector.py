@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,15 @@ class FoundTrajectory:
         What is compared with the threshold.
     snr : float
         Mean of the statistic of one frame over those in which the target is present.
+    reason : str
+        Why it is rejected; empty for a target.
     """
 
     positions: NDArray[np.float64]
     amplitudes: NDArray[np.float64]
     statistic: float
     snr: float
+    reason: str = ''
 
 
 @dataclass(frozen=True)
@@ -69,6 +72,7 @@ class BatchResult:
     status: str
     history: list[Step]
     gap: float
+    rejected: list[FoundTrajectory] = field(default_factory=list)
 
 
 class BatchDetector(ABC):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 import logging
 
 import numpy as np
@@ -17,6 +18,7 @@ from track_before_detect.preprocess.robust import median_deviation
 from track_before_detect.solvers.batch_detector import BatchDetector, FoundTrajectory
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
+from track_before_detect.solvers.clutter.detector import BELOW, ClutterDetector, SEPARATION
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
@@ -43,6 +45,17 @@ DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
 }
 
 
+# What is searched instead of a background that is not one.
+BACKGROUNDS = {'either': ('temporal_median', 'spatial_median')}
+
+
+def detector_for(options: DetectorOptions) -> BatchDetector:
+    """Return the detector that the options name."""
+    if options.calibration == 'clutter':
+        return ClutterDetector(options)
+    return DETECTOR_CLASSES[options.detector](options)
+
+
 class TrackingPipeline:
     """Preprocessing, detection and identities over successive batches.
 
@@ -59,7 +72,10 @@ class TrackingPipeline:
     def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None,
                  detector: BatchDetector | None = None):
         self._options = options
-        self._detector = detector or DETECTOR_CLASSES[options.detector](options)
+        # The same search for each background, at its share of the rate.
+        self._backgrounds = BACKGROUNDS.get(options.background, (options.background,))
+        self._detector = detector or detector_for(options.replace(
+            false_alarm_rate=options.false_alarm_rate / len(self._backgrounds)))
         self._stitcher: Stitcher = (
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []
@@ -109,7 +125,26 @@ class TrackingPipeline:
             in the batches before.
         """
         _check(batch)
-        prepared = prepare(batch, self._options, psf_of(self._options).width_px)
+        results = [self._search(batch, background, progress) for background in self._backgrounds]
+        found = [trajectory for result in results for trajectory in result.trajectories]
+        rejected = [trajectory for result in results for trajectory in result.rejected]
+        if len(results) > 1:
+            found = _apart(found, SEPARATION * psf_of(self._options).width_px)
+        self._before = self._stitcher.link(
+            found, self._period(batch.frames.shape[2]),
+            [trajectory for trajectory in rejected if trajectory.reason == BELOW])
+        return replace(results[0], trajectories=list(self._before), rejected=rejected)
+
+    def carried_on(self, known: Trajectory, weaker: list[Trajectory]) -> list[Trajectory]:
+        """Return the rejected candidate that carries on a trajectory; see :class:`Stitcher`."""
+        return self._stitcher.carried_on(
+            known, [trajectory for trajectory in weaker if trajectory.reason == BELOW])
+
+    def _search(self, batch: FrameBatch, background: str,
+                progress: Progress | None) -> DetectionResult:
+        """Find the trajectories beside one background, without ids."""
+        options = self._options.replace(background=background)
+        prepared = prepare(batch, options, psf_of(options).width_px)
         self._check_scale(prepared.frames[len(batch) // 2])
         earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
         result = self._detector.detect(
@@ -117,25 +152,24 @@ class TrackingPipeline:
             prepared.weights, earlier, progress)
         weighted = prepared.weights is not None
         unit = np.array(prepared.unit) if weighted else prepared.noise_level
-        period = self._period(prepared)
-        trajectories = [_in_original_frames(found, prepared, unit, period)
-                        for found in result.found]
-        trajectories = [trajectory for trajectory in trajectories
-                        if np.isfinite(trajectory.positions).any()]
-        self._before = self._stitcher.link(trajectories, period)
-        return DetectionResult(list(self._before), result.threshold, result.status,
-                               result.history, result.gap)
+        period = self._period(prepared.frames.shape[2])
+        found, rejected = (
+            [trajectory for one in ones if np.isfinite(
+                (trajectory := _in_original_frames(one, prepared, unit, period)).positions).any()]
+            for ones in (result.found, result.rejected))
+        return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
+                               rejected=rejected)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
         self._stitcher.reset()
         self._before = []
 
-    def _period(self, prepared: PreparedBatch) -> int | None:
+    def _period(self, width: int) -> int | None:
         """Return the columns after which frames begin again, None where they end."""
         wraps = (self._options.motion_model == 'range_bearing'
                  or self._options.doppler_ambiguities > 0)
-        return prepared.frames.shape[2] if wraps else None
+        return width if wraps else None
 
     def _check_scale(self, frame: NDArray) -> None:
         """Say once when frames taken to have a noise of one cannot have."""
@@ -168,7 +202,7 @@ class TrackingPipeline:
         if options.amplitudes == 'complex':
             frames = frames.astype(np.complex64)
         batch = FrameBatch.of(frames, np.arange(8.0))
-        detector = DETECTOR_CLASSES[options.detector](options)
+        detector = detector_for(options)
         detector.detect(batch)
         if progress is not None:
             progress('compiling', 0.5)
@@ -215,4 +249,14 @@ def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch,
     velocity[outside] = np.nan
     amplitudes[outside] = np.nan
     return Trajectory(0, positions, amplitudes, velocity, prepared.stamps,
-                      prepared.frame_indices, found.statistic, found.snr)
+                      prepared.frame_indices, found.statistic, found.snr, found.reason)
+
+
+def _apart(trajectories: list[Trajectory], distance_px: float) -> list[Trajectory]:
+    """Return the strongest of the trajectories that lie on one another, by statistic."""
+    kept: list[Trajectory] = []
+    for trajectory in sorted(trajectories, key=lambda trajectory: -trajectory.statistic):
+        between = [np.hypot(*(trajectory.positions - other.positions).T) for other in kept]
+        if not any(np.nanmedian(distances) < distance_px for distances in between):
+            kept.append(trajectory)
+    return kept

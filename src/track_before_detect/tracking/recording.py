@@ -126,6 +126,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     history: list[Step] = []
     status, threshold, gap = 'converged', 0.0, float('nan')
     n_searched = 0
+    searched: list[DetectionResult] = []
     for batch in cut:
         if not np.isfinite(batch.frames).any() and len(batch) < n_frames:
             # A gap in the recording ends no more than the trajectories that reach into it.
@@ -135,6 +136,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         n_searched += 1
         result = pipeline.process(batch, progress)
         joined.add(result.trajectories)
+        searched.append(result)
         history += result.history
         threshold = max(threshold, result.threshold)
         gap = float(np.fmax(gap, result.gap))
@@ -144,12 +146,26 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
             progress('searching', (int(batch.frame_indices[-1]) + 1) / n_frames)
     if not n_searched:
         raise DataError(f'no pixel of the {n_frames} frames is finite')
+    if isinstance(pipeline, TrackingPipeline):
+        _carry_back(pipeline, searched, joined)
     if repeated.count:
         remarks.append(f'{repeated.count} of {n_frames} frames repeat the one before and are '
                        'passed over')
         _LOG.warning('%s', remarks[-1])
     return DetectionResult(joined.trajectories(), threshold, status, history, gap, n_searched,
-                           remarks)
+                           remarks, [one for result in searched for one in result.rejected])
+
+
+def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult],
+                joined: _Joined) -> None:
+    """Follow trajectories back into the batches before the one that first found them."""
+    later: list[Trajectory] = []
+    for result in reversed(searched):
+        seen = {trajectory.id for trajectory in result.trajectories}
+        before = [carried for known in later if known.id not in seen
+                  for carried in pipeline.carried_on(known, result.rejected)]
+        joined.add(before)
+        later = [*result.trajectories, *before]
 
 
 class _Joined:

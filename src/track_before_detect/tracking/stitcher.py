@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,13 +49,16 @@ class Stitcher:
         """Forget all identities; numbering goes on, so that no id is used twice."""
         self._known = []
 
-    def link(self, trajectories: list[Trajectory],
-             period_px: float | None = None) -> list[Trajectory]:
+    def link(self, trajectories: list[Trajectory], period_px: float | None = None,
+             weaker: Sequence[Trajectory] = ()) -> list[Trajectory]:
         """Return the trajectories of one batch with their ids set.
 
         Parameters
         ----------
         trajectories : list of Trajectory
+        weaker : sequence of Trajectory, optional
+            Candidates that are targets where they carry on an identity of the batch before which
+            no trajectory does.
         period_px : float, optional
             Columns after which the frames begin again, where they go round.
         """
@@ -65,6 +69,7 @@ class Stitcher:
                     known.trajectory, trajectory, period_px)
         cost = np.minimum(excess, 2.0)
         ids: dict[int, int] = {}
+        carried: list[Trajectory] = []
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
             if excess[i, j] <= 1.0:
                 ids[int(j)] = self._known[i].trajectory.id
@@ -74,11 +79,33 @@ class Stitcher:
                 ids[j] = self._next_id
                 self._next_id += 1
             named.append(replace(trajectory, id=ids[j]))
+        for known in self._known:
+            if known.trajectory.id not in ids.values() and weaker and not known.batches_ago:
+                carried += self.carried_on(known.trajectory, weaker, period_px)
+        named += carried
         seen = {trajectory.id for trajectory in named}
         self._known = [_Known(trajectory) for trajectory in named] + [
             _Known(known.trajectory, known.batches_ago + 1) for known in self._known
             if known.trajectory.id not in seen and known.batches_ago + 1 < self._memory]
         return named
+
+    def carried_on(self, known: Trajectory, weaker: Sequence[Trajectory],
+                   period_px: float | None = None) -> list[Trajectory]:
+        """Return the candidate that carries on a trajectory, with its id; none where none does.
+
+        Parameters
+        ----------
+        known : Trajectory
+            In a batch that shares frames with that of the candidates.
+        weaker : sequence of Trajectory
+            Candidates.
+        period_px : float, optional
+            As of :meth:`link`.
+        """
+        near = [candidate for candidate in weaker
+                if self._distance_over_gate(known, candidate, period_px) <= 1.0]
+        return [replace(best, id=known.id, reason='')
+                for best in sorted(near, key=lambda candidate: -candidate.statistic)[:1]]
 
     def _distance_over_gate(self, older: Trajectory, newer: Trajectory,
                             period: float | None) -> float:
