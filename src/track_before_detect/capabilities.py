@@ -162,6 +162,7 @@ _NO_DOPPLER = Condition('without motion_model=range_doppler',
                         lambda options: options.motion_model != 'range_doppler')
 _COMPLEX = _with('amplitudes', 'complex')
 _STREAKS = 'exposure_s'
+_CLUTTER = _with('calibration', 'clutter')
 
 # What cannot be combined, with any detector.
 COMBINATIONS = (
@@ -186,6 +187,8 @@ COMBINATIONS = (
           when=Condition('with amplitudes=complex and amplitude_model=constant',
                          lambda options: (options.amplitudes == 'complex'
                                           and options.amplitude_model == 'constant'))),
+    *(Limit(name, 'the strongest other paths of the batch are the threshold', when=_CLUTTER)
+      for name in ('presence', 'amplitude_model', 'threshold', 'motion_model', 'exposure_s')),
     Limit('variance', 'both say how much noise a pixel has', when=_with('noise', 'map')),
     Limit('hop', 'the whole recording is one batch', when=Condition(
         'without batch_length', lambda options: options.batch_length is None)),

@@ -18,6 +18,8 @@ from track_before_detect.types import FrameBatch, Progress, Step
 
 # Relative difference of frame intervals that share a calibration.
 SAME_INTERVAL = 0.2
+# Largest speed in clutter unless told, px a frame.
+FAST_PX = 5.0
 
 
 @dataclass(frozen=True)
@@ -161,6 +163,11 @@ def searched_speed(options: DetectorOptions, stamps: NDArray, shape: tuple[int, 
     """Return the largest speed that can be seen in frames (H, W), px/s.
 
     A target that crosses the frame in one interval is as fast as can be seen, and the turns that
-    come with a larger speed would take for ever to search.
+    come with a larger speed would take for ever to search. In clutter, where targets are bright
+    and cameras shake, the largest speed unless told is that of crossing a third of the frame
+    during the batch, and at most ``FAST_PX`` px a frame.
     """
+    if options.calibration == 'clutter' and options.max_speed_px_s is None and len(stamps) > 1:
+        fast = min(FAST_PX, min(shape) / (3 * len(stamps)))
+        return max(fast, 1.0) / median_interval(stamps)
     return min(max_speed(options, stamps), float(np.hypot(*shape)) / median_interval(stamps))

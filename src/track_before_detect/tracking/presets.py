@@ -1,0 +1,133 @@
+"""Options for a kind of sensor by name, and those that a look at the first frames proposes.
+
+What the user tells always wins, option by option.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.errors import ParameterError, suggestion
+from track_before_detect.options import DetectorOptions
+from track_before_detect.preprocess.registration import register
+from track_before_detect.preprocess.robust import robust_deviation
+from track_before_detect.preprocess.whiteness import coloured_noise_factor
+
+AUTO, NONE = 'auto', 'none'
+# Frames that are looked at.
+FRAMES_SEEN = 20
+# Difference of level and deviation to those of simulated noise, and deviations of the correlation
+# of successive frames, within which frames are taken for it.
+NEAR_UNIT = 0.05
+UNCORRELATED = 5.0
+
+_SCENE: Mapping[str, Any] = {
+    'background': 'either', 'noise': 'local', 'calibration': 'clutter', 'amplitudes': 'signed',
+    'psf_sigma_px': 1.5, 'batch_length': 10, 'hop': 5}
+PRESETS: Mapping[str, Mapping[str, Any]] = {
+    NONE: {},
+    'eoir_static': _SCENE,
+    'eoir_moving': {**_SCENE, 'registration': 'translation', 'search_plane': 'image'},
+    'radar_range_doppler': {
+        'motion_model': 'range_doppler', 'background': 'temporal_median', 'noise': 'map',
+        'batch_length': 20},
+    'radar_range_bearing': {
+        'motion_model': 'range_bearing', 'background': 'temporal_median', 'noise': 'map',
+        'batch_length': 20},
+    'astronomy': {
+        'registration': 'translation', 'background': 'temporal_spatial_median', 'noise': 'map',
+        'presence': 'partial', 'batch_length': 20},
+}
+
+
+class Choice(NamedTuple):
+    """Options for a recording.
+
+    Attributes
+    ----------
+    options : DetectorOptions
+    reasons : list of str
+        Why, a sentence for each thing seen.
+    """
+
+    options: DetectorOptions
+    reasons: list[str]
+
+
+def choose_options(preset: str, told: Mapping[str, Any], frames: NDArray) -> Choice:
+    """Return the options of a preset, overridden by those that were told.
+
+    Parameters
+    ----------
+    preset : str
+        ``'auto'`` or a name of :data:`PRESETS`.
+    told : mapping
+        Names and values of options.
+    frames : array, shape (T, H, W)
+        The first frames of the recording or stream, for ``'auto'``.
+
+    Raises
+    ------
+    ParameterError
+        There is no such preset or option, or a value is out of range.
+    """
+    names = [AUTO, *PRESETS]
+    if preset not in names:
+        raise ParameterError(f'unknown preset {preset!r}; {suggestion(preset, names)}')
+    if preset == AUTO:
+        chosen, reasons = _chosen(np.asarray(frames))
+    else:
+        chosen, reasons = PRESETS[preset], []
+    if 'batch_length' in told:
+        chosen = {name: value for name, value in chosen.items() if name != 'hop'}
+    unable = told.get('detector', 'convex') != 'convex' or any(
+        told.get(name, value) != value for name, value in _CLUTTER_ASKS.items())
+    if unable and chosen.get('calibration') == 'clutter':
+        # What only the search for what stands out from the clutter can do goes with it.
+        chosen = {**chosen, **_WITHOUT_CLUTTER}
+        reasons = [*reasons, 'what was told asks for a threshold from noise, which the leftovers '
+                   'of a scene may pass']
+    return Choice(DetectorOptions.from_mapping({**chosen, **told}), reasons)
+
+
+# Options with which alone calibration=clutter goes, and what is taken without it.
+_CLUTTER_ASKS = {'presence': 'full', 'amplitude_model': 'fluctuating', 'threshold': None,
+                 'motion_model': 'nearly_constant_velocity', 'calibration': 'clutter'}
+_WITHOUT_CLUTTER = {'calibration': 'noise', 'noise': 'robust', 'background': 'temporal_median',
+                    'amplitudes': 'non-negative', 'batch_length': 20, 'hop': 10}
+
+
+def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
+    """Return the options that frames ask for, and why."""
+    if np.iscomplexobj(frames):
+        return {'amplitudes': 'complex', 'noise': 'robust'}, ['frames of complex numbers']
+    if _is_unit_noise(frames):
+        return {}, ['the frames are white noise of deviation 1: taken as they are']
+    words = ['the frames show a scene: it is taken off by medians over time and over space, '
+             'and what stands out from the clutter that is left is a target']
+    if len(frames) < 3:
+        return {**_SCENE, 'background': 'spatial_median'}, words
+    registration = register(frames.astype(np.float32))
+    if registration.credible.mean() <= 0.5:
+        return _SCENE, [*words, 'nothing tells whether the camera moves: no registration']
+    reach = float(np.ptp(registration.offsets[registration.credible], axis=0).max())
+    return PRESETS['eoir_moving'], [
+        *words, f'the picture moves by {reach:.2g} px within {len(frames)} frames: '
+        'registration=translation, search on the image']
+
+
+def _is_unit_noise(frames: NDArray) -> bool:
+    """Return whether frames (T, H, W) can be searched as they are, as simulated ones can."""
+    frames = np.where(np.isfinite(frames), frames, 0).astype(np.float32)
+    level, deviation = float(np.median(frames)), robust_deviation(frames)
+    if max(abs(level), abs(deviation - 1)) > NEAR_UNIT:
+        return False
+    if coloured_noise_factor(frames, 1.0) > 1:
+        return False
+    clipped = np.clip(frames, -3, 3)
+    same = float(np.mean(clipped[1:] * clipped[:-1]))
+    return same * np.sqrt(clipped[1:].size) < UNCORRELATED
