@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+import glob
 import os
 from pathlib import Path
 
@@ -9,12 +11,14 @@ from track_before_detect.errors import DataError
 from track_before_detect.recordings.images import (
     FITS_SUFFIXES,
     IMAGE_SUFFIXES,
+    natural_key,
     open_fits,
     open_image_folder,
     open_tiff,
     TIFF_SUFFIXES,
 )
 from track_before_detect.recordings.npz import open_npz
+from track_before_detect.recordings.read_errors import closed_on_error
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.recordings.rosbag import BAG_SUFFIXES, find_bag, open_rosbag
 from track_before_detect.recordings.video import open_video, VIDEO_SUFFIXES
@@ -23,7 +27,8 @@ SUPPORTED = ('.npz, a folder of images, multi-page .tif, .fits, a video (.mp4, .
              'or a rosbag2 (a folder, .db3 or .mcap)')
 
 
-def open_recording(path: str | os.PathLike, topic: str | None = None) -> Recording:
+def open_recording(path: str | os.PathLike, topic: str | None = None,
+                   fps: float | None = None) -> Recording:
     """Open a recording; frames are read when asked for.
 
     Parameters
@@ -34,6 +39,8 @@ def open_recording(path: str | os.PathLike, topic: str | None = None) -> Recordi
         storage file.
     topic : str, optional
         Topic of a bag; may be left out when only one topic is suitable.
+    fps : float, optional
+        Frames per second, in place of the stamps that the input has or has not.
 
     Returns
     -------
@@ -46,7 +53,31 @@ def open_recording(path: str | os.PathLike, topic: str | None = None) -> Recordi
     MissingExtraError
         When the package that reads this kind is not installed.
     """
-    path = Path(path)
+    recording = _opened(Path(path), topic)
+    if fps is not None:
+        with closed_on_error(recording):
+            recording.set_rate(fps)
+    return recording
+
+
+def expand_inputs(inputs: Iterable[str | os.PathLike]) -> list[Path]:
+    """Return the paths that are named, patterns such as ``day/*.npz`` expanded, each once.
+
+    What a pattern fits comes in natural order; DataError where that is nothing.
+    """
+    paths: dict[Path, Path] = {}
+    for given in map(Path, inputs):
+        fitting = [given]
+        if not given.exists() and glob.has_magic(str(given)):
+            fitting = sorted(map(Path, glob.glob(str(given), recursive=True)), key=natural_key)
+            if not fitting:
+                raise DataError(f'no file fits {given}')
+        for path in fitting:
+            paths.setdefault(path.resolve(), path)
+    return list(paths.values())
+
+
+def _opened(path: Path, topic: str | None) -> Recording:
     if not path.exists():
         raise DataError(f'{path} does not exist')
     suffix = path.suffix.lower()
