@@ -77,8 +77,9 @@ def add_parser(commands: Any) -> None:
     parser.set_defaults(run=run)
     parser.add_argument(
         'inputs', metavar='INPUT', nargs='+',
-        help="paths or patterns such as '*.npz' of: .npz (array frames (T, H, W); optional stamps in seconds, or fps), a folder of "
-        'images, a multi-page TIFF, a FITS cube, a video, or a rosbag2 (folder, .db3 or .mcap)')
+        help="recordings, or patterns such as '*.npz': .npz (array frames (T, H, W); optional "
+        'stamps in seconds, or fps), .npy, a folder of images or FITS files, a multi-page TIFF, a '
+        'FITS cube, a video, or a rosbag2 (folder, .db3 or .mcap)')
     parser.add_argument('--detector', metavar='NAME',
                         help=f'method, one of: {", ".join(DETECTORS)} (default: {DETECTORS[0]})')
     parser.add_argument('--config', metavar='FILE',

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.atomic_files import atomic_path
+from track_before_detect.checks import check_axes
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
@@ -106,6 +107,7 @@ class _NpzSource:
             what = 'a single image' if len(self.shape) == 2 else f'{len(self.shape)} dimensions'
             raise DataError(
                 f"array 'frames' of {path} must be (T, H, W), got {what} of shape {self.shape}")
+        check_axes(self.shape, f"array 'frames' of {path}")
         _check_size(path, self._archive, 'frames', self.shape, self.dtype, self._member.tell())
         self._next = 0
         self._whole: NDArray | None = None
