@@ -47,7 +47,7 @@ def test_what_numpy_masks_is_not_seen(dtype, as_list):
     spoilt.data[1:3, 4:6, 4:6] = 120
     unseen = frames.astype(float)
     unseen[1:3, 4:6, 4:6] = np.nan
-    given, expected = (tbd.detect(values, noise='robust', threshold=5) for values in (
+    given, expected = (tbd.detect(values, noise='robust', threshold=3) for values in (
         list(spoilt) if as_list else spoilt, unseen))
     assert expected.trajectories
     assert [t.statistic for t in given.trajectories] == [
