@@ -9,22 +9,25 @@ from pathlib import Path
 
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.images import (
-    FITS_SUFFIXES,
     IMAGE_SUFFIXES,
     natural_key,
-    open_fits,
     open_image_folder,
-    open_tiff,
-    TIFF_SUFFIXES,
 )
-from track_before_detect.recordings.npz import open_npz
+from track_before_detect.recordings.npz import open_npy, open_npz
+from track_before_detect.recordings.pictures.fits import is_fits, open_fits
+from track_before_detect.recordings.pictures.tiff import open_tiff, TIFF_SUFFIXES
 from track_before_detect.recordings.read_errors import closed_on_error
 from track_before_detect.recordings.recording import Recording
-from track_before_detect.recordings.rosbag import BAG_SUFFIXES, find_bag, open_rosbag
+from track_before_detect.recordings.rosbag import (
+    BAG_SUFFIXES,
+    find_bag,
+    open_rosbag,
+    PACKED_BAG_SUFFIXES,
+)
 from track_before_detect.recordings.video import open_video, VIDEO_SUFFIXES
 
-SUPPORTED = ('.npz, a folder of images, multi-page .tif, .fits, a video (.mp4, .avi, .mkv, .mov), '
-             'or a rosbag2 (a folder, .db3 or .mcap)')
+SUPPORTED = ('.npz or .npy, a folder of images or FITS files, multi-page .tif, .fits, a video '
+             '(.mp4, .avi, .mkv, .mov), or a rosbag2 (a folder, .db3 or .mcap)')
 
 
 def open_recording(path: str | os.PathLike, topic: str | None = None,
@@ -35,8 +38,9 @@ def open_recording(path: str | os.PathLike, topic: str | None = None,
     ----------
     path : path
         ``.npz`` with ``frames`` (T, H, W) and optionally ``stamps`` or ``fps``, and ``truth``;
-        a folder of images; a multi-page TIFF; a FITS cube; a video file; a rosbag2 folder or
-        storage file.
+        ``.npy`` with frames alone; a folder of images or FITS files; a multi-page TIFF; a FITS
+        file with a cube or an image for each frame; a video file; a rosbag2 folder or storage
+        file.
     topic : str, optional
         Topic of a bag; may be left out when only one topic is suitable.
     fps : float, optional
@@ -91,9 +95,11 @@ def _opened(path: Path, topic: str | None) -> Recording:
             return open_image_folder(path)
         if suffix == '.npz':
             return open_npz(path)
+        if suffix == '.npy':
+            return open_npy(path)
         if suffix in TIFF_SUFFIXES:
             return open_tiff(path)
-        if suffix in FITS_SUFFIXES:
+        if is_fits(path):
             return open_fits(path)
         if suffix in VIDEO_SUFFIXES:
             return open_video(path)
@@ -101,4 +107,9 @@ def _opened(path: Path, topic: str | None) -> Recording:
         raise DataError(f'{path} may not be read: {error.strerror}') from error
     if suffix in IMAGE_SUFFIXES:
         raise DataError(f'{path} is a single image; give the folder that holds all frames')
+    if suffix == '.bag':
+        raise DataError(f'{path} is a bag of ROS 1; rosbags-convert --src {path} --dst '
+                        f'{path.with_suffix("")} makes one of ROS 2 of it')
+    if path.name.lower().endswith(PACKED_BAG_SUFFIXES):
+        raise DataError(f'{path} is packed; zstd -d {path} unpacks it')
     raise DataError(f'{path} is of an unknown kind; expected {SUPPORTED}')

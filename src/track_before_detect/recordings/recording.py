@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.checks import checked_number
 from track_before_detect.errors import DataError
+from track_before_detect.recordings.read_errors import Closable
 from track_before_detect.timestamps import in_seconds
 
 # Frames kept for the overlap of successive batches; 20 frames of 1024 x 1024 float32 fit.
@@ -102,11 +103,7 @@ class Recording:
         if position in self._cache:
             return self._cache[position]
         frame = np.asarray(self._source.read(position))
-        if frame.shape != self.shape or frame.dtype.newbyteorder('=') != self.dtype:
-            raise DataError(
-                f'frame {position} of {self.name} must be like the first, {self.shape[0]} x '
-                f'{self.shape[1]} of {self.dtype}, got '
-                f'{" x ".join(map(str, frame.shape))} of {frame.dtype}')
+        check_like(f'frame {position} of {self.name}', frame, self.shape, self.dtype)
         frame = frame.astype(self.dtype, copy=False)
         frame.flags.writeable = False
         self._cache[position] = frame
@@ -124,6 +121,31 @@ class Recording:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+class MappedSource:
+    """Copies frames out of an array (T, H, W) in a mapped file; closes what mapped it."""
+
+    def __init__(self, volume: NDArray, file: Closable | None = None) -> None:
+        self._volume = volume
+        self._file = file
+
+    def read(self, index: int) -> NDArray:
+        """Return frame ``index``, shape (H, W)."""
+        return np.array(self._volume[index], self._volume.dtype.newbyteorder('='), order='C')
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+def check_like(name: str, frame: NDArray, shape: tuple[int, ...], dtype: np.dtype) -> None:
+    """Refuse a frame that is not of the size and type of the first."""
+    if frame.shape != shape or frame.dtype.newbyteorder('=') != dtype:
+        raise DataError(
+            f'{name} must be like the first, {" x ".join(map(str, shape))} of {dtype}, got '
+            f'{" x ".join(map(str, frame.shape))} of {frame.dtype}')
 
 
 def _checked_stamps(name: str, stamps: ArrayLike | None,

@@ -15,6 +15,8 @@ from track_before_detect.recordings.read_errors import closed_on_error, read_err
 from track_before_detect.recordings.recording import Recording
 
 BAG_SUFFIXES = ('.db3', '.mcap')
+PACKED_BAG_SUFFIXES = ('.db3.zstd', '.mcap.zstd')
+COMPRESSED_TYPE = 'sensor_msgs/msg/CompressedImage'
 IMAGE_TYPE = 'sensor_msgs/msg/Image'
 ARRAY_TYPE = 'std_msgs/msg/Float32MultiArray'
 _TYPES = (IMAGE_TYPE, ARRAY_TYPE)
@@ -35,6 +37,10 @@ def find_bag(folder: Path) -> Path | None:
         raise DataError(
             f'{folder} has no metadata.yaml and {len(files)} storage files: open one of them, or '
             'run ros2 bag reindex')
+    packed = [file for file in folder.iterdir() if file.name.endswith(PACKED_BAG_SUFFIXES)]
+    if packed and not files:
+        raise DataError(f'{folder} has no metadata.yaml, without which packed files are not read; '
+                        f'zstd -d {packed[0]} unpacks one')
     return files[0] if files else None
 
 
@@ -64,7 +70,11 @@ def open_rosbag(path: Path, topic: str | None = None) -> Recording:
 def _choose_topic(path: Path, connections: Iterable[Any], topic: str | None) -> list[Any]:
     """Return the connections of the topic to read."""
     suitable = sorted({c.topic for c in connections if c.msgtype in _TYPES and c.msgcount})
+    compressed = sorted({c.topic for c in connections if c.msgtype == COMPRESSED_TYPE})
     listed = ', '.join(suitable) or 'none'
+    if compressed and not suitable:
+        listed = (f'none but {", ".join(compressed)} of {COMPRESSED_TYPE}; ros2 run '
+                  f'image_transport republish compressed raw makes it {IMAGE_TYPE}')
     if topic is None:
         if len(suitable) != 1:
             raise DataError(
