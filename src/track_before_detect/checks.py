@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.errors import DataError, ParameterError
 
-# Time is taken for the last axis where the first two look like a picture and the last two do not:
-# sides of a picture, the wider over the narrower at most, and what no picture is as high as, over
-# its width.
+# Time is taken for the last axis where the first two look like the sides of a picture and the last
+# is too short for one (docs/constants/checks.md).
 SHORTEST_PICTURE_PX = 64
 WIDEST_PICTURE = 2.5
 LONGEST_PICTURE = 5

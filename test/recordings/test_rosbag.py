@@ -167,3 +167,25 @@ def test_damaged_metadata_is_refused(tmp_path):
         with pytest.raises(DataError, match='cannot be opened') as caught:
             open_recording(path)
         assert '\n' not in str(caught.value)
+
+
+def test_a_bag_of_compressed_images_alone_names_the_topic_and_the_way_out(tmp_path):
+    kind = 'sensor_msgs/msg/CompressedImage'
+    header = image(FRAMES[0], 0).header
+    message = TYPES[kind](header, 'jpeg', np.zeros(9, np.uint8))
+    write_bag(tmp_path / 'bag', {'/camera/compressed': (kind, [(1, message)])})
+    with pytest.raises(DataError, match=(
+            f'found: none but /camera/compressed of {kind}; ros2 run image_transport republish')):
+        open_recording(tmp_path / 'bag')
+
+
+def test_packed_and_older_bags_name_what_unpacks_them(tmp_path):
+    folder = tmp_path / 'bag'
+    folder.mkdir()
+    for name, message in (('bag_0.db3.zstd', 'is packed; zstd -d .*bag_0.db3.zstd unpacks it'),
+                          ('old.bag', 'is a bag of ROS 1; rosbags-convert --src .*old.bag --dst')):
+        (folder / name).write_bytes(b'something')
+        with pytest.raises(DataError, match=message):
+            open_recording(folder / name)
+    with pytest.raises(DataError, match='no metadata.yaml.*; zstd -d .*bag_0.db3.zstd unpacks'):
+        open_recording(folder)
