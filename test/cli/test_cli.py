@@ -181,7 +181,7 @@ def test_several_inputs_are_searched_whatever_becomes_of_one(stand_in, tmp_path,
     assert [Path(line.partition(':')[0]).name for line in lines] == ['b.npz', '9.npz', '10.npz']
     assert all('2 trajectories' in line for line in lines)
     errors = [line for line in captured.err.splitlines() if 'error' in line]
-    assert len(errors) == 1 and f'{single}: ' in errors[0] and '2 frames' in errors[0]
+    assert len(errors) == 1 and 'single.npz' in errors[0] and '2 frames' in errors[0]
     assert sorted(os.listdir(output)) == ['10', '9', 'b']
     assert all((output / name / 'trajectories.csv').exists() for name in os.listdir(output))
 

@@ -281,7 +281,7 @@ def test_unusable_path_is_refused(tmp_path, name, message):
 def test_topic_of_what_is_no_bag_is_refused(tmp_path):
     path = tmp_path / 'a.npz'
     np.savez(path, frames=FRAMES)
-    refuse(path, 'only a rosbag2 has topics', topic='/image')
+    refuse(path, 'only a bag has topics', topic='/image')
 
 
 @pytest.mark.parametrize(

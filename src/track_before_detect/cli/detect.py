@@ -79,7 +79,7 @@ def add_parser(commands: Any) -> None:
         'inputs', metavar='INPUT', nargs='+',
         help="recordings, or patterns such as '*.npz': .npz (array frames (T, H, W); optional "
         'stamps in seconds, or fps), .npy, a folder of images or FITS files, a multi-page TIFF, a '
-        'FITS cube, a video, or a rosbag2 (folder, .db3 or .mcap)')
+        'FITS cube, a video, or a bag (folder, .db3, .mcap or .bag)')
     parser.add_argument('--detector', metavar='NAME',
                         help=f'method, one of: {", ".join(DETECTORS)} (default: {DETECTORS[0]})')
     parser.add_argument('--config', metavar='FILE',
@@ -129,7 +129,8 @@ def _search_all(paths: Sequence[Path], arguments: Namespace, options: DetectorOp
         try:
             result, _, _ = _search(path, output, arguments, options)
         except (TbdError, OSError, MemoryError) as error:
-            codes.add(fail('tbd', f'{path}: {error_words(error)}'))
+            words = error_words(error)
+            codes.add(fail('tbd', words if path.name in words else f'{path}: {words}'))
             continue
         count = len(result.trajectories)
         found = 'no trajectory' if not count else '1 trajectory' if count == 1 else (

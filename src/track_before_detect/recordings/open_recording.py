@@ -27,7 +27,7 @@ from track_before_detect.recordings.rosbag import (
 from track_before_detect.recordings.video import open_video, VIDEO_SUFFIXES
 
 SUPPORTED = ('.npz or .npy, a folder of images or FITS files, multi-page .tif, .fits, a video '
-             '(.mp4, .avi, .mkv, .mov), or a rosbag2 (a folder, .db3 or .mcap)')
+             '(.mp4, .avi, .mkv, .mov), or a bag (a folder, .db3, .mcap, or .bag of ROS 1)')
 
 
 def open_recording(path: str | os.PathLike, topic: str | None = None,
@@ -40,7 +40,7 @@ def open_recording(path: str | os.PathLike, topic: str | None = None,
         ``.npz`` with ``frames`` (T, H, W) and optionally ``stamps`` or ``fps``, and ``truth``;
         ``.npy`` with frames alone; a folder of images or FITS files; a multi-page TIFF; a FITS
         file with a cube or an image for each frame; a video file; a rosbag2 folder or storage
-        file.
+        file; a ``.bag`` of ROS 1.
     topic : str, optional
         Topic of a bag; may be left out when only one topic is suitable.
     fps : float, optional
@@ -88,7 +88,7 @@ def _opened(path: Path, topic: str | None) -> Recording:
     try:
         bag = find_bag(path) if path.is_dir() else path if suffix in BAG_SUFFIXES else None
         if topic is not None and bag is None:
-            raise DataError(f'only a rosbag2 has topics; {path} is none')
+            raise DataError(f'only a bag has topics; {path} is none')
         if bag is not None:
             return open_rosbag(bag, topic)
         if path.is_dir():
@@ -107,9 +107,6 @@ def _opened(path: Path, topic: str | None) -> Recording:
         raise DataError(f'{path} may not be read: {error.strerror}') from error
     if suffix in IMAGE_SUFFIXES:
         raise DataError(f'{path} is a single image; give the folder that holds all frames')
-    if suffix == '.bag':
-        raise DataError(f'{path} is a bag of ROS 1; rosbags-convert --src {path} --dst '
-                        f'{path.with_suffix("")} makes one of ROS 2 of it')
     if path.name.lower().endswith(PACKED_BAG_SUFFIXES):
         raise DataError(f'{path} is packed; zstd -d {path} unpacks it')
     raise DataError(f'{path} is of an unknown kind; expected {SUPPORTED}')

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,18 @@ _GREY_MODES = ('L', 'I', 'F', 'I;16', 'I;16L', 'I;16B', 'I;16N')
 
 
 def read_pillow_image(file: Path) -> NDArray:
-    """Return the pixels of one image, shape (H, W), colour as luminance."""
+    """Return the pixels of an image file, shape (H, W), colour as luminance."""
+    return decode_pillow_image(file.read_bytes(), f'image {file}')
+
+
+def decode_pillow_image(data: bytes, name: str) -> NDArray:
+    """Return the pixels in the bytes of an image file, shape (H, W), colour as luminance."""
     pillow = reader_module('PIL.Image', 'Pillow', 'images')
-    with (read_errors(f'image {file} cannot be read', IMAGE_ERRORS),
-          pillow.open(file) as image):
+    with (read_errors(f'{name} cannot be read', IMAGE_ERRORS),
+          pillow.open(io.BytesIO(data)) as image):
         raw = image.tile[0][3] if image.tile else None
         if raw in ('LA;16B', 'RGB;16B', 'RGBA;16B'):
-            with pillow.open(file) as again:
+            with pillow.open(io.BytesIO(data)) as again:
                 return _deep_pixels(image, again, raw)
         return pillow_pixels(image)
 
