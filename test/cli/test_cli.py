@@ -263,7 +263,7 @@ def test_parameter_file_of_the_node_can_be_used(recording_file, stand_in, tmp_pa
      (['--detector', 'convx'], ["got 'convx'", 'did you mean convex']),
      (['--detector', 'mff_dp', '--set', 'presence=partial'],
       ['mff_dp cannot honour presence=partial, only full: ']),
-     (['--topic', '/image'], ['only a rosbag2 has topics']),
+     (['--topic', '/image'], ['only a bag has topics']),
      (['--config', 'no.yaml'], ['no.yaml cannot be read']),
      (['--config', 'list.yaml'], ['must hold names and values, got a list']),
      (['--config', 'bad.yaml'], ['is not YAML']),
