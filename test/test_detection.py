@@ -1,5 +1,6 @@
 """The Python call: its answers to bad input, and its promises about noise and targets."""
 
+import dataclasses
 import logging
 
 import numpy as np
@@ -23,6 +24,48 @@ FRAMES = np.random.default_rng(0).standard_normal((4, 16, 16))
 def test_bad_frames_are_named(frames, message):
     with pytest.raises(tbd.DataError, match=message):
         tbd.detect(frames, threshold=8)
+
+
+@pytest.mark.parametrize('shape', [(512, 640, 20), (128, 128, 20), (480, 640, 3)])
+def test_time_as_the_last_axis_is_refused_and_the_way_out_is_named(shape):
+    with pytest.raises(tbd.DataError, match=r'looks like \(H, W, T\): np.moveaxis'):
+        tbd.detect(np.zeros(shape, np.uint8), threshold=8)
+
+
+@pytest.mark.parametrize('shape', [
+    (2, 64, 64), (4, 1, 256), (100, 8, 6), (64, 64, 16), (2, 256, 16), (70, 70, 1)])
+def test_narrow_small_and_one_dimensional_frames_are_searched(shape):
+    assert tbd.detect(np.zeros(shape), threshold=8, max_speed_px_s=0).trajectories == []
+
+
+@pytest.mark.parametrize('as_list', [False, True])
+@pytest.mark.parametrize('dtype', ['u1', 'i4', 'f4'])
+def test_what_numpy_masks_is_not_seen(dtype, as_list):
+    frames = np.rint(10 * FRAMES).astype(dtype)
+    spoilt = np.ma.array(frames, copy=True)
+    spoilt[1:3, 4:6, 4:6] = np.ma.masked
+    spoilt.data[1:3, 4:6, 4:6] = 120
+    unseen = frames.astype(float)
+    unseen[1:3, 4:6, 4:6] = np.nan
+    given, expected = (tbd.detect(values, noise='robust', threshold=3) for values in (
+        list(spoilt) if as_list else spoilt, unseen))
+    assert expected.trajectories
+    assert [t.statistic for t in given.trajectories] == [
+        t.statistic for t in expected.trajectories]
+    assert spoilt.data[1, 4, 4] == 120
+
+
+def test_a_result_prints_a_line_for_each_trajectory():
+    frames = np.zeros((5, 32, 32))
+    frames[:, 16, 16] = 20.0
+    result = tbd.detect(frames, threshold=8)
+    head, line = repr(result).splitlines()
+    assert head.startswith('DetectionResult(1 trajectories, threshold=8.00, ')
+    assert line.strip() == repr(result.trajectories[0])
+    assert line.strip().startswith(
+        'Trajectory(id=1, frames 0-4, (16.0, 16.0) to (16.0, 16.0) px, 0.00 px/s, snr=')
+    many = dataclasses.replace(result, trajectories=result.trajectories * 300)
+    assert len(repr(many).splitlines()) == 12 and repr(many).endswith('and 290 more')
 
 
 @pytest.mark.parametrize(('stamps', 'message'), [

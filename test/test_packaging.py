@@ -60,6 +60,7 @@ WITHIN = {
         'refine': set(),
         'calibration': {'path_statistic', 'search'},
         'convex': TOOLS | {'batch_detector', 'path_detector', 'path_statistic'},
+        'clutter': TOOLS | {'batch_detector', 'path_detector'},
         'given_paths': set(),
         'ring': FRAME | {'calibration'},
         'cancellation': FRAME | {'calibration'},

@@ -10,6 +10,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.errors import DataError, ParameterError
 
+# Time is taken for the last axis where the first two look like the sides of a picture and the last
+# is too short for one (docs/constants/checks.md).
+SHORTEST_PICTURE_PX = 64
+WIDEST_PICTURE = 2.5
+LONGEST_PICTURE = 5
+
 
 def checked_number(name: str, value: Any, *, whole: bool = False, above: float | None = None,
                    minimum: float | None = None, maximum: float | None = None,
@@ -59,16 +65,35 @@ def as_array(name: str, values: ArrayLike) -> NDArray:
 def checked_frames(values: ArrayLike, name: str = 'frames', kinds: str = 'iufc') -> NDArray:
     """Return frames (T, H, W) as they are, or raise DataError where they are no numbers.
 
-    ``kinds`` are the NumPy kinds of numbers that will do.
+    ``kinds`` are the NumPy kinds of numbers that will do. What an array of ``numpy.ma`` masks is
+    NaN.
     """
-    frames = as_array(name, values)
+    masked: Any = values
+    if isinstance(values, (list, tuple)) and any(np.ma.is_masked(frame) for frame in values):
+        masked = np.ma.stack(values)
+    frames = as_array(name, masked)
     if frames.ndim != 3 or 0 in frames.shape:
         raise DataError(
             f'{name} must have shape (T, H, W) with no empty side, got {frames.shape}')
     if frames.dtype.kind not in kinds:
         raise DataError(f'{name} must hold {"" if "c" in kinds else "real "}numbers, got '
                         f'{frames.dtype}')
+    if np.ma.is_masked(masked):
+        # The smallest type that holds NaN and the numbers as they are.
+        frames = frames.astype(np.result_type(frames.dtype, np.float32))
+        frames[np.ma.getmaskarray(masked)] = np.nan
     return frames
+
+
+def check_axes(shape: tuple[int, ...], name: str) -> None:
+    """Refuse frames (H, W, T), which show themselves by a last axis shorter than any picture's."""
+    first, second, last = shape
+    if (last > 1 and min(first, second) >= max(SHORTEST_PICTURE_PX, LONGEST_PICTURE * last)
+            and max(first, second) <= WIDEST_PICTURE * min(first, second)):
+        raise DataError(
+            f'{name} must have shape (T, H, W), got {shape}, which looks like (H, W, T): '
+            'np.moveaxis(frames, -1, 0) puts time first; pictures that are as narrow can be '
+            'turned, np.swapaxes(frames, 1, 2)')
 
 
 def check_kind(frames: NDArray, amplitudes: str) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from track_before_detect.checks import checked_frames, checked_stamps
+from track_before_detect.checks import check_axes, checked_frames, checked_stamps
 from track_before_detect.options import DetectorOptions
 from track_before_detect.tracking.recording import detect_recording
 from track_before_detect.tracking.sensor_pipeline import SensorPipeline
@@ -38,8 +38,8 @@ def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = '
     Parameters
     ----------
     frames : array, shape (T, H, W)
-        Pixel values; not finite where masked. A 1-D sensor has H = 1. Unless ``noise`` says
-        otherwise, the noise has a standard deviation of 1.
+        Pixel values; not finite, or masked by ``numpy.ma``, where masked. A 1-D sensor has
+        H = 1. Unless ``noise`` says otherwise, the noise has a standard deviation of 1.
     stamps : array, shape (T,), optional
         Seconds, strictly increasing; 1 s apart unless given.
     detector : str
@@ -72,6 +72,7 @@ def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = '
     """
     settings = DetectorOptions.from_mapping({'detector': detector, **options})
     array = checked_frames(frames)
+    check_axes(array.shape, 'frames')
     times = checked_stamps(np.arange(len(array)) if stamps is None else stamps, len(array))
     return detect_recording(_ArrayRecording(array, times), settings, progress)
 

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 # Called during long work with what is being done and the share that is done, 0 to 1.
 Progress = Callable[[str, float], None]
+# Trajectories of a result that are printed, the best first.
+SHOWN_TRAJECTORIES = 10
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,19 @@ class Trajectory:
     snr: float
     reason: str = ''
 
+    def __repr__(self) -> str:
+        present = np.isfinite(self.positions).all(axis=1)
+        if not present.any():
+            return f'Trajectory(id={self.id}, never present)'
+        frames, places = self.frame_indices[present], self.positions[present]
+        speeds = np.hypot(*self.velocity[present].T)
+        speeds = speeds[np.isfinite(speeds)]
+        moving = f', {speeds.mean():.2f} px/s' if len(speeds) else ''
+        return (f'Trajectory(id={self.id}, frames {frames[0]}-{frames[-1]}, '
+                f'({places[0, 0]:.1f}, {places[0, 1]:.1f}) to '
+                f'({places[-1, 0]:.1f}, {places[-1, 1]:.1f}) px{moving}, snr={self.snr:.2f}, '
+                f'statistic={self.statistic:.2f})')
+
 
 @dataclass(frozen=True)
 class Step:
@@ -142,3 +157,13 @@ class DetectionResult:
     n_batches: int = 1
     remarks: list[str] = field(default_factory=list)
     rejected: list[Trajectory] = field(default_factory=list)
+
+    def __repr__(self) -> str:
+        head = (f'DetectionResult({len(self.trajectories)} trajectories, '
+                f'threshold={self.threshold:.2f}, status={self.status!r}, '
+                f'n_batches={self.n_batches}, {len(self.history)} steps, '
+                f'{len(self.remarks)} remarks)')
+        more = len(self.trajectories) - SHOWN_TRAJECTORIES
+        return '\n'.join([head, *(f'  {trajectory!r}' for trajectory
+                                  in self.trajectories[:SHOWN_TRAJECTORIES]),
+                          *([f'  and {more} more'] if more > 0 else [])])

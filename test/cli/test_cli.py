@@ -132,6 +132,87 @@ def test_detect_writes_all_files_and_prints_a_table(recording_file, stand_in, tm
     assert summary['remarks'] == []
 
 
+def npz(path, n_frames=6, **arrays):
+    np.savez(path, frames=np.random.default_rng(0).normal(size=(n_frames, 16, 20)), **arrays)
+    return path
+
+
+def test_made_up_stamps_are_said_and_speeds_are_per_frame(stand_in, tmp_path, capsys):
+    path = npz(tmp_path / 'a.npz')
+    assert run('detect', path, '--output', tmp_path / 'out', '--no-overlay') == 0
+    assert 'speed [px/frame]' in capsys.readouterr().out
+    with open_recording(path) as recording:
+        [remark] = recording.remarks
+    assert 'a.npz has no stamps: 1 frame is taken as 1 s' in remark
+    assert 'px/frame' in remark and '--fps' in remark
+
+
+def test_fps_gives_a_recording_its_stamps(stand_in, tmp_path, capsys):
+    for name, arrays, n_remarks in (('without', {}, 0), ('with', {'fps': 10}, 1)):
+        path = npz(tmp_path / f'{name}.npz', **arrays)
+        output = tmp_path / name
+        assert run('detect', path, '--output', output, '--no-overlay', '--fps', 20) == 0
+        assert 'speed [px/s]' in capsys.readouterr().out
+        summary = json.loads((output / 'summary.json').read_text())
+        assert summary['stamps_known'] and summary['median_interval_s'] == pytest.approx(0.05)
+        with open_recording(path, fps=20) as recording:
+            np.testing.assert_allclose(recording.stamps, np.arange(6) / 20)
+            assert len(recording.remarks) == n_remarks
+    assert recording.remarks == ['20 frames/s as given, not the stamps of with.npz']
+
+
+@pytest.mark.parametrize('rate', ['0', '-5', 'nan', 'fast'])
+def test_fps_that_is_no_rate_is_refused(rate, tmp_path, capsys):
+    assert run('detect', npz(tmp_path / 'a.npz'), '--output', tmp_path / 'out', '--fps', rate) == 2
+    assert_one_sentence(capsys, '--fps', rate)
+    assert not (tmp_path / 'out').exists()
+
+
+def test_several_inputs_are_searched_whatever_becomes_of_one(stand_in, tmp_path, capsys):
+    (tmp_path / 'day').mkdir()
+    for k in (10, 9):
+        npz(tmp_path / 'day' / f'{k}.npz')
+    one, single = npz(tmp_path / 'b.npz'), npz(tmp_path / 'single.npz', n_frames=1)
+    output = tmp_path / 'out'
+    assert run('detect', one, single, tmp_path / 'day' / '*.npz', one, '--output', output,
+               '--no-overlay') == 2
+    captured = capsys.readouterr()
+    lines = captured.out.splitlines()
+    assert [Path(line.partition(':')[0]).name for line in lines] == ['b.npz', '9.npz', '10.npz']
+    assert all('2 trajectories' in line for line in lines)
+    errors = [line for line in captured.err.splitlines() if 'error' in line]
+    assert len(errors) == 1 and 'single.npz' in errors[0] and '2 frames' in errors[0]
+    assert sorted(os.listdir(output)) == ['10', '9', 'b']
+    assert all((output / name / 'trajectories.csv').exists() for name in os.listdir(output))
+
+
+def test_the_exit_code_of_several_inputs_says_whether_any_found(stand_in, tmp_path):
+    paths = [npz(tmp_path / name) for name in ('a.npz', 'b.npz')]
+    for trajectories, code in ((2, 0), (0, 3)):
+        stand_in.trajectories = trajectories
+        assert run('detect', *paths, '--output', tmp_path / 'out', '--no-overlay') == code
+
+
+def test_inputs_of_the_same_name_have_folders_of_their_own(stand_in, tmp_path):
+    for folder in ('x', 'y'):
+        (tmp_path / folder).mkdir()
+        npz(tmp_path / folder / 'a.npz')
+    output = tmp_path / 'out'
+    assert run('detect', tmp_path / '?' / 'a.npz', '--output', output, '--no-overlay') == 0
+    assert len(list(output.rglob('trajectories.csv'))) == 2
+
+
+def test_a_pattern_that_fits_one_file_is_that_file_and_none_is_refused(
+        stand_in, tmp_path, capsys):
+    npz(tmp_path / 'a[1].npz')
+    for pattern in ('a*.npz', 'a[1].npz'):
+        assert run('detect', tmp_path / pattern, '--output', tmp_path / 'out',
+                   '--no-overlay') == 0
+        assert (tmp_path / 'out' / 'trajectories.csv').exists()
+    assert run('detect', tmp_path / '*.mp4', '--output', tmp_path / 'out') == 2
+    assert_one_sentence(capsys, 'no file fits', '*.mp4')
+
+
 def test_nothing_found_is_exit_code_3_with_the_header_alone(recording_file, stand_in, tmp_path):
     stand_in.trajectories = 0
     assert run('detect', recording_file, '--output', tmp_path / 'out') == 3
@@ -182,7 +263,7 @@ def test_parameter_file_of_the_node_can_be_used(recording_file, stand_in, tmp_pa
      (['--detector', 'convx'], ["got 'convx'", 'did you mean convex']),
      (['--detector', 'mff_dp', '--set', 'presence=partial'],
       ['mff_dp cannot honour presence=partial, only full: ']),
-     (['--topic', '/image'], ['only a rosbag2 has topics']),
+     (['--topic', '/image'], ['only a bag has topics']),
      (['--config', 'no.yaml'], ['no.yaml cannot be read']),
      (['--config', 'list.yaml'], ['must hold names and values, got a list']),
      (['--config', 'bad.yaml'], ['is not YAML']),

@@ -145,6 +145,7 @@ def test_index_counts_from_the_end_and_is_bounded(tmp_path):
      ({'frames': FRAMES.astype(str)}, 'must be numbers'),
      ({'frames': FRAMES.astype(object)}, 'must be numbers'),
      ({'frames': FRAMES > 100}, 'must be numbers'),
+     ({'frames': np.zeros((512, 640, 20), np.uint8)}, r'looks like \(H, W, T\): np.moveaxis'),
      ({'frames': FRAMES, 'stamps': [0, 1, 2, 3]}, r'one stamp per frame \(5\).*\(4,\)'),
      ({'frames': FRAMES, 'stamps': np.full(5, np.nan)}, 'finite, got nan at frame 0'),
      ({'frames': FRAMES, 'stamps': list('abcde')}, 'real numbers'),
@@ -157,6 +158,38 @@ def test_bad_archive_is_refused_in_one_sentence(tmp_path, arrays, message):
     path = tmp_path / 'bad.npz'
     np.savez(path, **arrays)
     refuse(path, message)
+
+
+@settings(deadline=None)
+@given(DTYPES, hnp.array_shapes(min_dims=3, max_dims=3, max_side=6), st.booleans(), st.data())
+def test_npy_gives_back_what_was_saved(dtype, shape, fortran, data):
+    frames = data.draw(hnp.arrays(np.dtype(dtype), shape))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / 'a.npy'
+        np.save(path, np.asfortranarray(frames) if fortran else frames)
+        with open_recording(path) as recording:
+            assert recording.dtype.isnative and not recording.stamps_known
+            np.testing.assert_array_equal(all_frames(recording), frames)
+
+
+@pytest.mark.parametrize(('array', 'message'), [
+    (FRAMES[0], 'array of .*bad.npy must be .T, H, W., got a single image of shape'),
+    (FRAMES[:0], 'holds no frames'), (FRAMES.astype(str), 'must be numbers'),
+    (FRAMES.astype(object), 'not a complete .npy array'),
+    (np.zeros((512, 640, 20), np.uint8), r'looks like \(H, W, T\): np.moveaxis')])
+def test_bad_npy_is_refused_in_one_sentence(tmp_path, array, message):
+    path = tmp_path / 'bad.npy'
+    np.save(path, array)
+    refuse(path, message)
+
+
+def test_every_truncation_of_an_npy_is_refused(tmp_path):
+    path = tmp_path / 'cut.npy'
+    np.save(path, FRAMES)
+    data = path.read_bytes()
+    for length in (1, 10, 100, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:length])
+        refuse(path, 'not a complete .npy array')
 
 
 @pytest.mark.parametrize('stamps', [[0, 1, 1, 3, 4], [0, 1, np.nan, 3, 4], [9, 1, 2, 3, 4]])
@@ -185,7 +218,8 @@ def test_every_truncation_of_an_archive_is_refused(tmp_path):
 
 
 @settings(deadline=None)
-@given(st.binary(max_size=60), st.sampled_from(['.npz', '.tif', '.fits', '.db3', '.mcap']))
+@given(st.binary(max_size=60),
+       st.sampled_from(['.npz', '.npy', '.tif', '.fits', '.fits.gz', '.db3', '.mcap']))
 def test_random_bytes_are_refused(content, suffix):
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f'noise{suffix}'
@@ -247,7 +281,7 @@ def test_unusable_path_is_refused(tmp_path, name, message):
 def test_topic_of_what_is_no_bag_is_refused(tmp_path):
     path = tmp_path / 'a.npz'
     np.savez(path, frames=FRAMES)
-    refuse(path, 'only a rosbag2 has topics', topic='/image')
+    refuse(path, 'only a bag has topics', topic='/image')
 
 
 @pytest.mark.parametrize(

@@ -1,3 +1,4 @@
+import io
 from pathlib import Path
 import tempfile
 
@@ -17,6 +18,7 @@ STORE = get_typestore(Stores.ROS2_JAZZY)
 TYPES = STORE.types
 IMAGE = 'sensor_msgs/msg/Image'
 ARRAY = 'std_msgs/msg/Float32MultiArray'
+COMPRESSED = 'sensor_msgs/msg/CompressedImage'
 STORAGES = [StoragePlugin.SQLITE3, StoragePlugin.MCAP]
 FRAMES = np.random.default_rng(3).integers(0, 65535, (6, 5, 4)).astype(np.uint16)
 
@@ -167,3 +169,70 @@ def test_damaged_metadata_is_refused(tmp_path):
         with pytest.raises(DataError, match='cannot be opened') as caught:
             open_recording(path)
         assert '\n' not in str(caught.value)
+
+
+def compressed(frame, stamp_ns, suffix='png'):
+    image_module = pytest.importorskip('PIL.Image')
+    data = io.BytesIO()
+    image_module.fromarray(frame).save(data, suffix)
+    return TYPES[COMPRESSED](image(FRAMES[0], stamp_ns).header, f'mono16; {suffix} compressed ',
+                             np.frombuffer(data.getvalue(), np.uint8))
+
+
+def test_a_bag_of_compressed_images_alone_is_read(tmp_path):
+    messages = [(10**9 * k, compressed(frame, 10**9 + 4 * 10**7 * k))
+                for k, frame in enumerate(FRAMES)]
+    write_bag(tmp_path / 'bag', {'/camera/compressed': (COMPRESSED, messages)})
+    with open_recording(tmp_path / 'bag') as recording:
+        np.testing.assert_array_equal(all_frames(recording), FRAMES)
+        np.testing.assert_allclose(recording.stamps, 1 + 0.04 * np.arange(6), rtol=0, atol=1e-9)
+    write_bag(tmp_path / 'both', {'/camera/compressed': (COMPRESSED, messages),
+                                  '/camera': (IMAGE, images(FRAMES[:3]))})
+    with open_recording(tmp_path / 'both') as recording:
+        assert len(recording) == 3
+    with open_recording(tmp_path / 'both', '/camera/compressed') as recording:
+        assert len(recording) == 6
+
+
+def test_compressed_image_that_is_none_is_refused(tmp_path):
+    message = TYPES[COMPRESSED](image(FRAMES[0], 0).header, 'h264', np.zeros(9, np.uint8))
+    write_bag(tmp_path / 'bag', {'/video': (COMPRESSED, [(1, message)])})
+    with pytest.raises(DataError, match='message 0 of .*: its h264 cannot be read: cannot'):
+        open_recording(tmp_path / 'bag')
+
+
+def write_ros1_bag(path, frames):
+    from rosbags.rosbag1 import Writer as Writer1
+    store = get_typestore(Stores.ROS1_NOETIC)
+    with Writer1(path) as writer:
+        connection = writer.add_connection('/image', IMAGE, typestore=store)
+        for k, (time, message) in enumerate(images(frames)):
+            header = store.types['std_msgs/msg/Header'](k, message.header.stamp, 'camera')
+            old = store.types[IMAGE](header, message.height, message.width, message.encoding, 0,
+                                     message.step, message.data)
+            writer.write(connection, time, store.serialize_ros1(old, IMAGE))
+
+
+@pytest.mark.parametrize('in_folder', [False, True])
+def test_ros1_bag_gives_back_its_frames(tmp_path, in_folder):
+    path = tmp_path / 'old.bag'
+    write_ros1_bag(path, FRAMES)
+    with open_recording(tmp_path if in_folder else path) as recording:
+        assert recording.frame_id == 'camera'
+        np.testing.assert_array_equal(all_frames(recording), FRAMES)
+        np.testing.assert_array_equal(recording[4], FRAMES[4])
+        np.testing.assert_allclose(recording.stamps, 1 + 0.04 * np.arange(6), rtol=0, atol=1e-9)
+    data = path.read_bytes()
+    path.write_bytes(data[:len(data) // 2])
+    with pytest.raises(DataError, match='old.bag cannot be'):
+        open_recording(path)
+
+
+def test_packed_bag_names_what_unpacks_it(tmp_path):
+    folder = tmp_path / 'bag'
+    folder.mkdir()
+    (folder / 'bag_0.db3.zstd').write_bytes(b'something')
+    with pytest.raises(DataError, match='is packed; zstd -d .*bag_0.db3.zstd unpacks it'):
+        open_recording(folder / 'bag_0.db3.zstd')
+    with pytest.raises(DataError, match='no metadata.yaml.*; zstd -d .*bag_0.db3.zstd unpacks'):
+        open_recording(folder)

@@ -30,6 +30,13 @@ def fail(program: str, message: object, code: int = BAD_INPUT) -> int:
     return code
 
 
+def error_words(error: Exception) -> str:
+    """Return what an error says; what the system says of memory helps nobody."""
+    if isinstance(error, MemoryError):
+        return 'not enough memory for this recording; a smaller batch_length needs less'
+    return str(error)
+
+
 class Parser(argparse.ArgumentParser):
     """Says what is wrong in one sentence, like every other error of a command."""
 

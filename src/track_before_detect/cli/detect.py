@@ -16,10 +16,14 @@ import numpy as np
 from track_before_detect import __version__
 from track_before_detect.atomic_files import atomic_folder
 from track_before_detect.capabilities import check_options
+from track_before_detect.checks import checked_number
 from track_before_detect.cli.console import (
     add_set_argument,
     assignments,
+    BAD_INPUT,
     check_output_folder,
+    error_words,
+    fail,
     FOUND,
     NOTHING_FOUND,
     option_lines,
@@ -29,7 +33,7 @@ from track_before_detect.cli.console import (
     trajectory_cells,
     TRAJECTORY_HEADER,
 )
-from track_before_detect.errors import DataError, MissingExtraError
+from track_before_detect.errors import DataError, MissingExtraError, TbdError
 from track_before_detect.options import (
     describe,
     DetectorOptions,
@@ -37,7 +41,7 @@ from track_before_detect.options import (
     is_neutral,
     parse_option,
 )
-from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.recordings.open_recording import expand_inputs, open_recording
 from track_before_detect.recordings.overlay import write_overlay
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
@@ -51,6 +55,9 @@ examples:
   a camera that moves, targets of up to 3 pixels per frame at 25 frames per second:
     tbd detect pan.npz --set registration=translation --set max_speed_px_s=75 \\
         --set background=temporal_median --set noise=map
+  a folder of images taken at 25 frames per second, and many recordings at once:
+    tbd detect frames/ --fps 25
+    tbd detect 'flights/*.mp4' night.npz --output results
   one topic of a bag, with options from a file:
     tbd detect my_bag/ --topic /camera/image_raw --config detector.yaml
 
@@ -61,23 +68,33 @@ All options, with units and ranges: tbd detect --list-options
 def add_parser(commands: Any) -> None:
     """Add the command to the subparsers of ``tbd``."""
     parser = commands.add_parser(
-        'detect', help='find trajectories in a recording', epilog=_EXAMPLES,
-        description='Find trajectories in a recording, print them and write to DIR:\n'
+        'detect', help='find trajectories in recordings', epilog=_EXAMPLES,
+        description='Find trajectories in a recording, print them and write to DIR (of several\n'
+        'inputs to DIR/NAME, with one line for each):\n'
         '  trajectories.csv  one row per trajectory and frame\n'
         '  summary.json      options, threshold, counts\n'
         '  overlay.png       the trajectories over the middle frame, and over time')
     parser.set_defaults(run=run)
     parser.add_argument(
-        'input', metavar='INPUT',
-        help='.npz (array frames (T, H, W); optional stamps in seconds, or fps), a folder of '
-        'images, a multi-page TIFF, a FITS cube, a video, or a rosbag2 (folder, .db3 or .mcap)')
+        'inputs', metavar='INPUT', nargs='+',
+        help="recordings, or patterns such as '*.npz': .npz (array frames (T, H, W); optional "
+        'stamps in seconds, or fps), .npy, a folder of images or FITS files, a multi-page TIFF, a '
+        'FITS cube, a video, or a bag (folder, .db3, .mcap or .bag)')
     parser.add_argument('--detector', metavar='NAME',
                         help=f'method, one of: {", ".join(DETECTORS)} (default: {DETECTORS[0]})')
     parser.add_argument('--config', metavar='FILE',
                         help='YAML file with options, flat or as ROS parameters; --detector and '
                         '--set override it')
+    parser.add_argument('--preset', metavar='NAME', default='auto',
+                        help='options for a kind of sensor, which --config, --set and --detector '
+                        'override one by one: auto looks at the first frames (default); none, '
+                        'eoir_static, eoir_moving, radar_range_doppler, radar_range_bearing, '
+                        'astronomy')
     add_set_argument(parser, 'set one option; may be repeated')
     parser.add_argument('--topic', metavar='NAME', help='topic of a bag')
+    parser.add_argument('--fps', metavar='RATE', type=float,
+                        help='frames per second, in place of the stamps of the input; without '
+                        'either, 1 frame is taken as 1 s')
     parser.add_argument('--output', metavar='DIR', default='output',
                         help='folder for the results, made when missing; files of an earlier run '
                         'are replaced (default: output)')
@@ -90,37 +107,84 @@ def add_parser(commands: Any) -> None:
 
 
 def run(arguments: Namespace) -> int:
-    """Search the recording, print what was found and write the files; return the exit code."""
-    options = _detector_options(arguments)
-    check_options(options)
-    output, overlay = Path(arguments.output), not arguments.no_overlay
-    check_output_folder(output)
-    if overlay and importlib.util.find_spec('matplotlib') is None:
+    """Search the recordings, print what was found and write the files; return the exit code."""
+    told = _told_options(arguments)
+    check_options(DetectorOptions.from_mapping(told))
+    if arguments.fps is not None:
+        checked_number('--fps', arguments.fps, above=0)
+    check_output_folder(Path(arguments.output))
+    if not arguments.no_overlay and importlib.util.find_spec('matplotlib') is None:
         raise MissingExtraError(
             "overlay.png needs matplotlib: pip install 'track_before_detect[plots]', or give "
             '--no-overlay')
+    paths = expand_inputs(arguments.inputs)
+    if len(paths) > 1:
+        return _search_all(paths, arguments, told)
+    result, text, written = _search(paths[0], Path(arguments.output), arguments, told)
+    print(text)
+    print(f'written: {", ".join(map(str, written))}')
+    return FOUND if result.trajectories else NOTHING_FOUND
+
+
+def _search_all(paths: Sequence[Path], arguments: Namespace, told: Mapping[str, Any]) -> int:
+    """Search each recording into a folder of its own, whatever becomes of the others."""
+    codes = set()
+    for path, name in zip(paths, _names(paths), strict=True):
+        output = Path(arguments.output) / name
+        try:
+            result, _, _ = _search(path, output, arguments, told)
+        except (TbdError, OSError, MemoryError) as error:
+            words = error_words(error)
+            codes.add(fail('tbd', words if path.name in words else f'{path}: {words}'))
+            continue
+        count = len(result.trajectories)
+        found = 'no trajectory' if not count else '1 trajectory' if count == 1 else (
+            f'{count} trajectories')
+        print(f'{path}: {found}, written: {output}', flush=True)
+        codes.add(FOUND if count else NOTHING_FOUND)
+    return next(code for code in (BAD_INPUT, FOUND, NOTHING_FOUND) if code in codes)
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Return what to call the results of each recording, as short as tells them apart."""
+    whole = [path.resolve() for path in paths]
+    for names in ([path.name if path.is_dir() else path.stem for path in whole],
+                  [path.name for path in whole]):
+        if len(set(names)) == len(names):
+            return names
+    return [str(path.relative_to(path.anchor)) for path in whole]
+
+
+def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, Any],
+            ) -> tuple[DetectionResult, str, list[Path]]:
+    """Search one recording and write the files; return what was found, also as text."""
     started = time.perf_counter()
-    with open_recording(arguments.input, arguments.topic) as recording:
+    with open_recording(path, arguments.topic, arguments.fps) as recording:
         if len(recording) < 2:
             raise DataError(
                 f'{recording.name} must hold at least 2 frames to show a motion, got 1')
         # Compiled loops take a second to load; errors of the input need not wait for them.
+        from track_before_detect.tracking.presets import choose_options, FRAMES_SEEN
         from track_before_detect.tracking.recording import detect_recording
 
+        seen = np.stack([recording[i] for i in range(min(FRAMES_SEEN, len(recording)))])
+        options, reasons = choose_options(arguments.preset, told, seen)
+        check_options(options)
+        for reason in reasons:
+            print(f'preset {arguments.preset}: {reason}', file=sys.stderr)
         with Progress(sys.stderr) as progress:
             try:
                 result = detect_recording(recording, options, progress)
             except DataError as error:
                 raise DataError(f'{recording.name} cannot be searched: {error}') from error
+        result = dataclasses.replace(result, remarks=[*reasons, *result.remarks])
         seconds = time.perf_counter() - started
         summary = _summary(recording, options, result, seconds)
-        written = _write_results(output, recording, result, summary, overlay)
-    print(_table(result.trajectories))
-    print(f'written: {", ".join(map(str, written))}')
-    return FOUND if result.trajectories else NOTHING_FOUND
+        written = _write_results(output, recording, result, summary, not arguments.no_overlay)
+        return result, _table(result.trajectories, recording.stamps_known), written
 
 
-def _detector_options(arguments: Namespace) -> DetectorOptions:
+def _told_options(arguments: Namespace) -> dict[str, Any]:
     """Return the options of the file, overridden by those of the command line."""
     values: dict[str, Any] = {}
     if arguments.config is not None:
@@ -129,7 +193,7 @@ def _detector_options(arguments: Namespace) -> DetectorOptions:
         values[key] = parse_option(key, text)
     if arguments.detector is not None:
         values['detector'] = arguments.detector
-    return DetectorOptions.from_mapping(values)
+    return values
 
 
 def _read_config(path: Path) -> dict[str, Any]:
@@ -207,10 +271,12 @@ def _write_results(output: Path, recording: Recording, result: DetectionResult,
     return [output / name for name in names]
 
 
-def _table(trajectories: Sequence[Trajectory]) -> str:
+def _table(trajectories: Sequence[Trajectory], stamps_known: bool) -> str:
     """Return the trajectories as text, one line each."""
     if not trajectories:
         return 'no trajectory found'
-    return table([[*TRAJECTORY_HEADER, 'statistic'],
+    header = [title if stamps_known else title.replace('px/s', 'px/frame')
+              for title in TRAJECTORY_HEADER]
+    return table([[*header, 'statistic'],
                   *([*trajectory_cells(trajectory), f'{trajectory.statistic:.2f}']
                     for trajectory in trajectories)])

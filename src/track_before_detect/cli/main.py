@@ -15,6 +15,7 @@ from track_before_detect import __version__
 from track_before_detect.cli import bench, detect, evaluate, simulate
 from track_before_detect.cli.console import (
     BAD_INPUT,
+    error_words,
     fail,
     FOUND,
     INTERRUPTED,
@@ -30,7 +31,8 @@ try it:
 
 exit codes:
   0  done and something found (or nothing to find)
-  2  an input or option cannot be used; one sentence on stderr says why
+  2  an input or option cannot be used; one sentence on stderr says why (of several inputs, the
+     others are searched all the same)
   3  done and nothing found
   130  interrupted with Ctrl-C
   143  ended by the signal TERM
@@ -55,11 +57,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print('tbd: interrupted', file=sys.stderr)
         return INTERRUPTED
-    except (TbdError, OSError) as error:
-        return fail('tbd', error)
-    except MemoryError:
-        return fail('tbd',
-                    'not enough memory for this recording; a smaller batch_length needs less')
+    except (TbdError, OSError, MemoryError) as error:
+        return fail('tbd', error_words(error))
 
 
 def _prepare_output() -> None:

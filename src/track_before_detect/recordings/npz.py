@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.atomic_files import atomic_path
+from track_before_detect.checks import check_axes
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors
-from track_before_detect.recordings.recording import Recording
+from track_before_detect.recordings.recording import MappedSource, Recording
 
 # What damaged or foreign archives raise in zipfile, zlib and numpy.lib.format.
 _READ_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, SyntaxError,
@@ -38,6 +39,16 @@ def open_npz(path: Path) -> Recording:
             source = _NpzSource(path, archive)
         with closed_on_error(source):
             return _recording(path, archive, names, source)
+
+
+def open_npy(path: Path) -> Recording:
+    """Open an array (T, H, W) in a file of its own."""
+    if path.stat().st_size == 0:
+        raise DataError(f'{path} is empty')
+    with read_errors(f'{path} is not a complete .npy array', _READ_ERRORS):
+        frames = np.load(path, mmap_mode='r', allow_pickle=False)
+    _check_layout(f'array of {path}', frames.shape, frames.dtype)
+    return Recording(path.name, frames.shape[1:], frames.dtype, len(frames), MappedSource(frames))
 
 
 def write_npz_recording(path: str | os.PathLike, frames: ArrayLike, stamps: ArrayLike,
@@ -99,13 +110,7 @@ class _NpzSource:
     def _read_layout(self) -> None:
         self.shape, fortran_order, self.dtype = _read_header(self._member)
         path = self._path
-        if self.dtype.hasobject or self.dtype.kind not in 'iufc':
-            raise DataError(
-                f"array 'frames' of {path} must be numbers (T, H, W), got type {self.dtype}")
-        if len(self.shape) != 3:
-            what = 'a single image' if len(self.shape) == 2 else f'{len(self.shape)} dimensions'
-            raise DataError(
-                f"array 'frames' of {path} must be (T, H, W), got {what} of shape {self.shape}")
+        _check_layout(f"array 'frames' of {path}", self.shape, self.dtype)
         _check_size(path, self._archive, 'frames', self.shape, self.dtype, self._member.tell())
         self._next = 0
         self._whole: NDArray | None = None
@@ -146,6 +151,16 @@ def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     if version == (2, 0):
         return np.lib.format.read_array_header_2_0(file)
     raise DataError(f'.npy format version {version[0]}.{version[1]} is not for plain numbers')
+
+
+def _check_layout(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:
+    """Refuse an array that holds no frames."""
+    if dtype.hasobject or dtype.kind not in 'iufc':
+        raise DataError(f'{name} must be numbers (T, H, W), got type {dtype}')
+    if len(shape) != 3:
+        what = 'a single image' if len(shape) == 2 else f'{len(shape)} dimensions'
+        raise DataError(f'{name} must be (T, H, W), got {what} of shape {shape}')
+    check_axes(shape, name)
 
 
 def _check_size(path: Path, archive: zipfile.ZipFile, name: str, shape: tuple[int, ...],

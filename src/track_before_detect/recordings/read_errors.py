@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+import importlib
+import struct
+from types import ModuleType
 from typing import Protocol
+import zlib
 
-from track_before_detect.errors import DataError
+from track_before_detect.errors import DataError, MissingExtraError
+
+# What damaged files raise in the image libraries.
+IMAGE_ERRORS = (OSError, EOFError, ValueError, TypeError, IndexError, KeyError, SyntaxError,
+                RuntimeError, struct.error, zlib.error)
 
 
 class Closable(Protocol):
@@ -29,6 +37,16 @@ def read_errors(message: str, errors: tuple[type[Exception], ...]) -> Iterator[N
         said = getattr(error, 'strerror', None) or str(error).strip() or type(error).__name__
         reason = said.splitlines()[0]
         raise DataError(f'{message}: {reason}') from error
+
+
+def reader_module(module: str, package: str, what: str) -> ModuleType:
+    """Return the module of an optional package that reads something."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise MissingExtraError(
+            f"reading {what} needs {package}: pip install 'track_before_detect[readers]'"
+        ) from error
 
 
 @contextmanager

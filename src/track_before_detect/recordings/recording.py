@@ -8,7 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from track_before_detect.checks import checked_number
 from track_before_detect.errors import DataError
+from track_before_detect.recordings.read_errors import Closable
 from track_before_detect.timestamps import in_seconds
 
 # Frames kept for the overlap of successive batches; 20 frames of 1024 x 1024 float32 fit.
@@ -45,7 +47,7 @@ class Recording:
         Reads one frame.
     stamps : array, shape (T,), or None
         In seconds, or in a smaller unit that is told by their size; kept as they are where they
-        do not increase. None makes them up as 1 s apart.
+        do not increase. None makes them up as 1 s apart, and says so.
     truth : array, shape (N, 4), or None
         Rows [frame, id, x, y].
     frame_id : str
@@ -54,7 +56,9 @@ class Recording:
     Attributes
     ----------
     remarks : list of str
-        What was made of stamps that are no seconds, a sentence each.
+        What was made of stamps that are no seconds, or of none, a sentence each.
+    stamps_known : bool
+        Whether the stamps are not made up.
     """
 
     def __init__(self, name: str, shape: tuple[int, int], dtype: np.dtype, n_frames: int,
@@ -78,6 +82,14 @@ class Recording:
         self._cache: OrderedDict[int, NDArray] = OrderedDict()
         self._cache_length = max(2, CACHE_BYTES // (shape[0] * shape[1] * dtype.itemsize))
 
+    def set_rate(self, fps: float) -> None:
+        """Let the frames be 1/``fps`` seconds apart, whatever stamps came with them."""
+        fps = checked_number('fps', fps, above=0)
+        self.stamps = np.arange(len(self)) / fps
+        self.remarks = [f'{fps:g} frames/s as given, not the stamps of {self.name}'
+                        ] if self.stamps_known else []
+        self.stamps_known = True
+
     def __len__(self) -> int:
         return len(self.stamps)
 
@@ -91,11 +103,7 @@ class Recording:
         if position in self._cache:
             return self._cache[position]
         frame = np.asarray(self._source.read(position))
-        if frame.shape != self.shape or frame.dtype.newbyteorder('=') != self.dtype:
-            raise DataError(
-                f'frame {position} of {self.name} must be like the first, {self.shape[0]} x '
-                f'{self.shape[1]} of {self.dtype}, got '
-                f'{" x ".join(map(str, frame.shape))} of {frame.dtype}')
+        check_like(f'frame {position} of {self.name}', frame, self.shape, self.dtype)
         frame = frame.astype(self.dtype, copy=False)
         frame.flags.writeable = False
         self._cache[position] = frame
@@ -115,11 +123,38 @@ class Recording:
         self.close()
 
 
+class MappedSource:
+    """Copies frames out of an array (T, H, W) in a mapped file; closes what mapped it."""
+
+    def __init__(self, volume: NDArray, file: Closable | None = None) -> None:
+        self._volume = volume
+        self._file = file
+
+    def read(self, index: int) -> NDArray:
+        """Return frame ``index``, shape (H, W)."""
+        return np.array(self._volume[index], self._volume.dtype.newbyteorder('='), order='C')
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+
+def check_like(name: str, frame: NDArray, shape: tuple[int, ...], dtype: np.dtype) -> None:
+    """Refuse a frame that is not of the size and type of the first."""
+    if frame.shape != shape or frame.dtype.newbyteorder('=') != dtype:
+        raise DataError(
+            f'{name} must be like the first, {" x ".join(map(str, shape))} of {dtype}, got '
+            f'{" x ".join(map(str, frame.shape))} of {frame.dtype}')
+
+
 def _checked_stamps(name: str, stamps: ArrayLike | None,
                     n_frames: int) -> tuple[NDArray[np.float64], list[str]]:
     """Return stamps in seconds, made up when there are none, and what was made of them."""
     if stamps is None:
-        return np.arange(n_frames, dtype=np.float64), []
+        return np.arange(n_frames, dtype=np.float64), [
+            f'{name} has no stamps: 1 frame is taken as 1 s, so that speeds are in px/frame; '
+            '--fps RATE gives its frames per second']
     stamps = np.asarray(stamps)
     if stamps.dtype.kind not in 'iuf':
         raise DataError(f'stamps of {name} must be real numbers (seconds), got {stamps.dtype}')

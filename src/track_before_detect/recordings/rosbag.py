@@ -1,8 +1,8 @@
-"""Recordings in ROS 2 bags, read without ROS."""
+"""Recordings in bags of ROS 2 and ROS 1, read without ROS."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -11,13 +11,18 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, MissingExtraError
 from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
+from track_before_detect.recordings.pictures.pillow import decode_pillow_image
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
 
-BAG_SUFFIXES = ('.db3', '.mcap')
+ROS1_SUFFIX = '.bag'
+BAG_SUFFIXES = ('.db3', '.mcap', ROS1_SUFFIX)
+PACKED_BAG_SUFFIXES = ('.db3.zstd', '.mcap.zstd')
 IMAGE_TYPE = 'sensor_msgs/msg/Image'
 ARRAY_TYPE = 'std_msgs/msg/Float32MultiArray'
 _TYPES = (IMAGE_TYPE, ARRAY_TYPE)
+# Read as well, but not chosen where there are others: most lose what is dim.
+COMPRESSED_TYPE = 'sensor_msgs/msg/CompressedImage'
 # The bag library lets errors of sqlite, compression and YAML through.
 _READ_ERRORS = (Exception,)
 
@@ -35,17 +40,21 @@ def find_bag(folder: Path) -> Path | None:
         raise DataError(
             f'{folder} has no metadata.yaml and {len(files)} storage files: open one of them, or '
             'run ros2 bag reindex')
+    packed = [file for file in folder.iterdir() if file.name.endswith(PACKED_BAG_SUFFIXES)]
+    if packed and not files:
+        raise DataError(f'{folder} has no metadata.yaml, without which packed files are not read; '
+                        f'zstd -d {packed[0]} unpacks one')
     return files[0] if files else None
 
 
 def open_rosbag(path: Path, topic: str | None = None) -> Recording:
-    """Open one topic of a bag: a folder, or a single ``.db3`` or ``.mcap`` file.
+    """Open one topic of a bag: a folder, or a single ``.db3``, ``.mcap`` or ``.bag`` file.
 
     Stamps are those of the message headers; messages without header, or with empty ones, have
     the time at which they were received.
     """
     try:
-        from rosbags.rosbag2 import Reader
+        from rosbags import rosbag1, rosbag2
         from rosbags.typesys import get_typestore, Stores
     except ImportError as error:
         raise MissingExtraError(
@@ -53,46 +62,56 @@ def open_rosbag(path: Path, topic: str | None = None) -> Recording:
     if path.is_file() and path.stat().st_size == 0:
         raise DataError(f'{path} is empty')
     with read_errors(f'bag {path} cannot be opened', _READ_ERRORS):
-        reader = Reader(path)
+        reader: Any
+        if path.suffix == ROS1_SUFFIX:
+            reader = rosbag1.Reader(path)
+            deserialize = get_typestore(Stores.ROS1_NOETIC).deserialize_ros1
+        else:
+            reader = rosbag2.Reader(path)
+            deserialize = get_typestore(Stores.ROS2_JAZZY).deserialize_cdr
         reader.open()
     with closed_on_error(reader):
         connections = _choose_topic(path, reader.connections, topic)
-        source = _BagSource(path, reader, connections, get_typestore(Stores.ROS2_JAZZY))
-        return source.scan()
+        return _BagSource(path, reader, connections, deserialize).scan()
 
 
 def _choose_topic(path: Path, connections: Iterable[Any], topic: str | None) -> list[Any]:
     """Return the connections of the topic to read."""
     suitable = sorted({c.topic for c in connections if c.msgtype in _TYPES and c.msgcount})
+    if not suitable:
+        suitable = sorted({c.topic for c in connections
+                           if c.msgtype == COMPRESSED_TYPE and c.msgcount})
     listed = ', '.join(suitable) or 'none'
     if topic is None:
         if len(suitable) != 1:
             raise DataError(
-                f'{path} must have one topic of {IMAGE_TYPE} or {ARRAY_TYPE} with messages, or '
-                f'the topic must be named; found: {listed}')
+                f'{path} must have one topic of {IMAGE_TYPE}, {ARRAY_TYPE} or {COMPRESSED_TYPE} '
+                f'with messages, or the topic must be named; found: {listed}')
         topic = suitable[0]
     chosen = [c for c in connections if c.topic.lstrip('/') == topic.lstrip('/')]
     if not chosen:
         raise DataError(f'{path} has no topic {topic}; suitable topics: {listed}')
     for connection in chosen:
-        if connection.msgtype not in _TYPES:
+        if connection.msgtype not in (*_TYPES, COMPRESSED_TYPE):
             raise DataError(
-                f'topic {topic} of {path} must be {IMAGE_TYPE} or {ARRAY_TYPE}, got '
-                f'{connection.msgtype}; suitable topics: {listed}')
+                f'topic {topic} of {path} must be {IMAGE_TYPE}, {ARRAY_TYPE} or '
+                f'{COMPRESSED_TYPE}, got {connection.msgtype}; suitable topics: {listed}')
     return chosen
 
 
 class _BagSource:
     """Reads messages forwards; a jump starts again at the time of the frame wanted."""
 
-    def __init__(self, path: Path, reader: Any, connections: list[Any], typestore: Any) -> None:
+    def __init__(self, path: Path, reader: Any, connections: list[Any],
+                 deserialize: Callable[[Any, str], Any]) -> None:
         self._path = path
         self._reader = reader
         self._connections = connections
-        self._typestore = typestore
+        self._deserialize = deserialize
         self._received: list[int] = []
         self._messages: Iterator[tuple[Any, int, bytes]] = iter(())
         self._next = -1
+        self._closed = False
 
     def scan(self) -> Recording:
         """Read all messages once for their stamps, and return the recording."""
@@ -145,7 +164,7 @@ class _BagSource:
                 if item is None:
                     return
                 connection, received, raw = item
-                message = self._typestore.deserialize_cdr(raw, connection.msgtype)
+                message = self._deserialize(raw, connection.msgtype)
             yield received, message
 
     def _decode(self, index: int, message: Any) -> NDArray:
@@ -153,6 +172,8 @@ class _BagSource:
             if hasattr(message, 'encoding'):
                 return decode_image(message.data, message.encoding, message.height,
                                     message.width, message.step, message.is_bigendian)
+            if hasattr(message, 'format'):
+                return decode_pillow_image(bytes(message.data), f'its {message.format or "image"}')
             layout = message.layout
             return multiarray_to_frame(message.data, [dim.size for dim in layout.dim],
                                        [dim.stride for dim in layout.dim], layout.data_offset)
@@ -161,5 +182,7 @@ class _BagSource:
 
     def close(self) -> None:
         self._messages = iter(())
-        if self._reader.is_open:
+        if not self._closed:
+            # Not every reader may be closed twice.
+            self._closed = True
             self._reader.close()

@@ -122,6 +122,8 @@ def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
 
 def _is_unit_noise(frames: NDArray) -> bool:
     """Return whether frames (T, H, W) can be searched as they are, as simulated ones can."""
+    if not np.isfinite(frames).any():
+        return True
     frames = np.where(np.isfinite(frames), frames, 0).astype(np.float32)
     level, deviation = float(np.median(frames)), robust_deviation(frames)
     if max(abs(level), abs(deviation - 1)) > NEAR_UNIT:

@@ -1,0 +1,1 @@
+"""Pictures in files: what each library reads, as frames."""
