@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 import hashlib
 import math
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +41,8 @@ class Psf(ABC):
     to unit norm over the pixels they cover inside the frame, weighed by one over their noise: so
     the matched filter statistic has unit variance everywhere.
     """
+
+    _on_whole_pixels = False
 
     @property
     @abstractmethod
@@ -96,7 +100,19 @@ class Psf(ABC):
         A target half a grid step off in x and y loses 1 - exp(-step^2 / (8 sigma^2)) of its
         statistic: 3 % at sigma = 1 px on half pixels, 3 % at 2 px on whole pixels.
         """
+        if self._on_whole_pixels:
+            return 1
         return 1 if 1 / math.sqrt(2 * self.curvature.max()) >= 2 - 1e-9 else 2
+
+    def on_whole_pixels(self) -> Self:
+        """Return the same PSF, searched on whole pixels, which takes a tenth of the time.
+
+        Between the grid positions more of the statistic is lost before paths are refined, 12 % at
+        sigma = 1 px and 5 % at 1.5 px.
+        """
+        coarse = copy(self)
+        object.__setattr__(coarse, '_on_whole_pixels', True)
+        return coarse
 
     @property
     def gaussian_sigma_px(self) -> float | None:

@@ -18,6 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from track_before_detect.models.measurement.base import MeasurementModel
+from track_before_detect.option_models import psf_of
+from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
 from track_before_detect.solvers.clutter.path_tail import path_tail, PathTail
 from track_before_detect.solvers.path_detector import PathDetector, Task
@@ -31,7 +34,7 @@ BELOW = 'below the threshold'
 # least, both in widths of the PSF.
 SEPARATION = 5.0
 # Paths looked at in each search.
-N_PATHS = 60
+N_PATHS = 45
 # Paths whose positions are refined to find the strongest.
 N_REFINED = 3
 # Trajectories after which a batch is left.
@@ -49,8 +52,11 @@ STRONG_FRAMES = 2
 class ClutterDetector(PathDetector):
     """Finds the trajectories of a batch that stand out from all other paths in it.
 
-    Statistics are in units of their threshold.
+    Statistics are in units of their threshold. Paths are searched on whole pixels and refined.
     """
+
+    def __init__(self, options: DetectorOptions, measurement: MeasurementModel | None = None):
+        super().__init__(options, measurement or psf_of(options).on_whole_pixels())
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
                   progress: Progress | None = None) -> float:
