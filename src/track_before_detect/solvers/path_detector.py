@@ -27,7 +27,7 @@ from track_before_detect.solvers.batch_detector import (
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.calibration.path_noise import path_noise_study
 from track_before_detect.solvers.calibration.threshold import threshold_for
-from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
 from track_before_detect.solvers.path_statistic import PathStatistic
 from track_before_detect.solvers.search.path_search import path_search, PathSearch

@@ -13,7 +13,7 @@ from track_before_detect.solvers.convex.subspace_pursuit import (
     pursue,
     PursuitSettings,
 )
-from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.search.path_search import path_search
 

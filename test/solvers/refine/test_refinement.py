@@ -16,7 +16,7 @@ from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.measurement.streak import StreakPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.models.presence import presence_for
-from track_before_detect.solvers.convex.working_set import StampRenderer, WorkingSet
+from track_before_detect.solvers.fit.working_set import StampRenderer, WorkingSet
 from track_before_detect.solvers.refine.refinement import refiner_for
 
 T, SHAPE = 12, (30, 44)

@@ -15,7 +15,7 @@ from track_before_detect.solvers.batch_detector import BatchResult, FoundTraject
 from track_before_detect.solvers.convex.duplicates import DuplicateSearch
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings, state_of
 from track_before_detect.solvers.convex.warm_start import starting_paths
-from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch

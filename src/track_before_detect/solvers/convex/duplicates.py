@@ -30,7 +30,7 @@ from track_before_detect.solvers.convex.extended_target import (
     ExtendedTargetFitter,
     together,
 )
-from track_before_detect.solvers.convex.working_set import Source, WorkingSet
+from track_before_detect.solvers.fit.working_set import Source, WorkingSet
 
 # Fewer frames tell too little about a shape.
 LEAST_FRAMES = 8

@@ -22,7 +22,7 @@ from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.models.presence import Presence
-from track_before_detect.solvers.convex.working_set import PsfStamps, Source, StampRenderer
+from track_before_detect.solvers.fit.working_set import PsfStamps, Source, StampRenderer
 from track_before_detect.solvers.refine.refinement import refiner_for
 
 # Widths of a target that are tried, over that of the PSF.

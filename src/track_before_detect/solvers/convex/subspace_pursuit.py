@@ -24,7 +24,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.solvers.convex.working_set import FIT_GAP, WorkingSet
+from track_before_detect.solvers.fit.working_set import FIT_GAP, WorkingSet
 from track_before_detect.solvers.refine.refinement import PathRefiner
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
 from track_before_detect.types import Step

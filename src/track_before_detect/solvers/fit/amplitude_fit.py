@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.fit import constant_modulus, group_lasso, least_squares
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.solvers.convex import bounded_moduli
+from track_before_detect.solvers.fit import bounded_moduli
 
 MOST_ROUNDS = 200
 # Sweeps over amplitudes of constant modulus: at t = 1 another method takes over from there.
