@@ -42,6 +42,15 @@ def test_bright_targets_of_the_paper_are_all_found_in_their_cells(n_directions, 
     assert last == {tuple(cells[-1]) for cells in scene.cells}
 
 
+@pytest.mark.parametrize('detector', DETECTORS)
+def test_searches_over_other_transitions_have_calibrations_of_their_own(detector):
+    made = detector(DetectorOptions(
+        detector={MtDpDetector: 'mt_dp', PcDpDetector: 'pc_dp'}[detector], max_speed_px_s=1.0))
+    often, once = np.array([0.0, 2.0, 4.0, 5.0]), np.array([0.0, 1.0, 2.0, 4.0])
+    # The largest steps are the same.
+    assert made.noise_study(often, (32, 32)).key != made.noise_study(once, (32, 32)).key
+
+
 def test_threads_change_nothing(monkeypatch):
     monkeypatch.setattr(target_cancellation, 'LEAST_FOR_THREADS', 0)
     scene = scenes.six_targets(9.0, np.random.default_rng(2))
