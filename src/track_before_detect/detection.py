@@ -91,8 +91,8 @@ def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
         interleave and coincide.
     detector : str
         ``'convex'`` or ``'greedy'``.
-    progress : callable, optional
-        Called with a label and the share done, 0 to 1, during long work.
+    progress
+        As of :func:`detect`.
     **options
         Fields of :class:`DetectorOptions`; speeds are those on the plane, a frame is one of any
         sensor. ``registration``, constant amplitudes and range-Doppler maps are refused.

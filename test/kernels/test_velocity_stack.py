@@ -50,7 +50,7 @@ def test_best_velocity_equals_the_search_through_all(stamps, shape, signed):
 def test_every_plan_adds_up_the_same(group, monkeypatch):
     stamps = np.arange(11.0)
     psi, phi = images(11, (6, 20), 2)
-    grid = velocity_grid(stamps, 1.0, 2)
+    grid = velocity_grid(stamps, 2.0)
     whole = VelocityStack(grid, (6, 20), 0.5)
     whole.run(psi, phi)
     object.__setattr__(grid, 'plan', _plan(grid.moves, group))

@@ -15,6 +15,7 @@ from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.refine.target_model import TargetModel
 from track_before_detect.solvers.search import viterbi_table as path_table
 from track_before_detect.solvers.search.path_search import path_search
 from track_before_detect.solvers.search.viterbi_table import table_bytes, ViterbiTable
@@ -165,7 +166,7 @@ def pursued(frames, valid, model, graph, threshold):
     search.set_weights(valid)
     valid = NO_MASK if valid is None else valid
     paths = WorkingSet(frames, valid, psf, threshold, model)
-    return pursue(search, Refiner(graph, psf, STAMPS, valid, model), paths, 3.0,
+    return pursue(search, Refiner(TargetModel(graph, psf, STAMPS, valid, model)), paths, 3.0,
                   PursuitSettings((1.0, 0.5, 0.0)))
 
 

@@ -34,7 +34,13 @@ LEAST_SHARE = 1e-3
 
 
 @numba.njit(**EXACT)
-def _place(optics, positions, t, ones, rows, row_slopes, columns, column_slopes):
+def _profiles(optics):
+    """Return room for profiles and their slopes (4, N, K): rows, columns, and those of each."""
+    return np.empty((4, optics.coefficients.shape[0] * optics.nodes.size, 2 * optics.half + 1))
+
+
+@numba.njit(**EXACT)
+def _place(optics, positions, t, ones, rows, columns, row_slopes, column_slopes):
     """Fill the profiles of frame t; return the first pixel of the stamp."""
     smear_x, smear_y = smear_of(optics, positions, t)
     x_0 = int(math.ceil(positions[t, 0] - 0.5)) - optics.half
@@ -50,16 +56,12 @@ def render(optics, positions, height, width, weights, stamps, origins, norms):
 
     A stamp of which nearly nothing is left (LEAST_SHARE) is all zero, as is its norm.
     """
-    n_frames = positions.shape[0]
-    size = 2 * optics.half + 1
-    n_parts = optics.coefficients.shape[0] * optics.nodes.size
     ones = np.ones(optics.nodes.size)
-    rows = np.empty((n_parts, size))
-    columns = np.empty((n_parts, size))
-    unused = np.empty((n_parts, size))
+    rows, columns, unused, _ = _profiles(optics)
+    n_parts, size = rows.shape
     weighted = weights.shape[0] > 0
-    for t in range(n_frames):
-        x_0, y_0 = _place(optics, positions, t, ones, rows, unused, columns, unused)
+    for t in range(positions.shape[0]):
+        x_0, y_0 = _place(optics, positions, t, ones, rows, columns, unused, unused)
         origins[t, 0] = x_0
         origins[t, 1] = y_0
         stamps[t] = 0.0
@@ -130,18 +132,13 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     seen. Of complex frames these are |h| and its slope. The slope leaves out that the smear
     changes with the path.
     """
-    n_frames = positions.shape[0]
     height, width = frames.shape[1:]
-    size = 2 * optics.half + 1
-    n_parts = optics.coefficients.shape[0] * optics.nodes.size
     ones = np.ones(optics.nodes.size)
-    rows = np.empty((n_parts, size))
-    columns = np.empty((n_parts, size))
-    row_slopes = np.empty((n_parts, size))
-    column_slopes = np.empty((n_parts, size))
+    rows, columns, row_slopes, column_slopes = _profiles(optics)
+    n_parts, size = rows.shape
     weighted = weights.shape[0] > 0
-    for t in range(n_frames):
-        x_0, y_0 = _place(optics, positions, t, ones, rows, row_slopes, columns, column_slopes)
+    for t in range(positions.shape[0]):
+        x_0, y_0 = _place(optics, positions, t, ones, rows, columns, row_slopes, column_slopes)
         first_row, last_row = max(0, -y_0), min(size, height - y_0)
         first, last = max(0, -x_0), min(size, width - x_0)
         h = 0.0 * frames[0, 0, 0]

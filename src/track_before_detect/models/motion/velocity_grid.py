@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 import hashlib
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +22,8 @@ MOST_POSITIONS = 64
 GROUPS = (1, 2, 3, 4, 5, 6, 8)
 
 
-@dataclass(frozen=True)
-class StackPlan:
-    """Sums of rows that velocities share; see the module ``kernels.velocity_stack``.
+class StackPlan(NamedTuple):
+    """Sums of rows that velocities share, as the compiled loop takes them; see ``velocity_stack``.
 
     Attributes
     ----------
@@ -44,12 +44,6 @@ class StackPlan:
         """Rows that are added up for all v_x; stacking each on its own takes Vx (T - 1)."""
         return len(self.node_sources) + self.final_sources.size - len(self.final_sources)
 
-    @property
-    def arrays(self) -> tuple[NDArray[np.int32], ...]:
-        """All of them in the order in which the compiled loop takes them."""
-        return (self.node_sources, self.node_shifts, self.node_first, self.node_last,
-                self.final_sources, self.final_shifts)
-
 
 @dataclass(frozen=True)
 class VelocityGrid:
@@ -64,7 +58,7 @@ class VelocityGrid:
     first_vx, last_vx : array of int32, shape (n,)
         Which v_x go with each v_y.
     moves : array of int32, shape (n, T)
-        Displacement of each value in steps of the grid of positions.
+        Displacement of each value in whole pixels.
     plan : StackPlan
         Of the sums along x.
     """
@@ -129,8 +123,7 @@ class VelocityGrid:
         return ((at >= -0.5) & (at <= length - 0.5)).astype(float)
 
 
-def velocity_grid(stamps: NDArray, max_speed: float, steps_per_px: int = 1, *,
-                  disc: bool = True) -> VelocityGrid:
+def velocity_grid(stamps: NDArray, max_speed: float, *, disc: bool = True) -> VelocityGrid:
     """Return the velocities up to a speed.
 
     Parameters
@@ -139,8 +132,6 @@ def velocity_grid(stamps: NDArray, max_speed: float, steps_per_px: int = 1, *,
         Seconds, strictly increasing.
     max_speed : float
         Pixels per second.
-    steps_per_px : int
-        Positions per pixel.
     disc : bool
         Whether the largest speed bounds the length of the velocity, or each component.
     """
@@ -152,8 +143,7 @@ def velocity_grid(stamps: NDArray, max_speed: float, steps_per_px: int = 1, *,
     if disc and count:
         radius = max_speed * span / PIXELS_PER_BATCH + 1e-9
         half = np.floor(np.sqrt(radius**2 - np.arange(-count, count + 1)**2) + 1e-9).astype(int)
-    displacement = axis[:, None] * times * steps_per_px
-    moves = whole_steps(displacement)
+    moves = whole_steps(axis[:, None] * times)
     return VelocityGrid(times, axis, (count - half).astype(np.int32),
                         (count + half + 1).astype(np.int32), moves, stack_plan(moves))
 

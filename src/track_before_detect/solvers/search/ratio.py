@@ -48,10 +48,8 @@ class Ratio:
 
     Parameters
     ----------
-    scores : Scores
-        What a position adds.
-    tables : sequence of (int, ViterbiTable)
-        One for each sign of the amplitudes, by which the scores are multiplied.
+    scores, tables
+        As of :class:`Additive`.
     presence : Presence, optional
         Cost of being present; without it a path lasts from the first frame to the last.
     """

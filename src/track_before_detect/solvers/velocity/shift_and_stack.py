@@ -69,7 +69,7 @@ class VelocityStack:
         def search(first: int, last: int) -> None:
             velocity_stack.best_velocities(
                 self.best, self.number, psi, phi, grid.moves, grid.first_vx, grid.last_vx,
-                self.reach, *grid.plan.arrays, self._least, self._signed, first, last, left,
+                self.reach, *grid.plan, self._least, self._signed, first, last, left,
                 right)
 
         n_bands = min(self._n_threads, max(1, (bottom - top) // 8))
