@@ -4,8 +4,6 @@ The noise is white and Gaussian with a standard deviation of 1, targets are stam
 Gaussian point spread function, so ``snr`` is the amplitude in one frame.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 import math

@@ -1,7 +1,5 @@
 """What a sensor makes of point targets: stamps of a Gaussian point spread function, and noise."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

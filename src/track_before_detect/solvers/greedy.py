@@ -5,8 +5,6 @@ they explain is subtracted for good. No path is fitted again beside those that f
 moved off the grid: what an early path took from its neighbour stays taken.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory

@@ -1,7 +1,5 @@
 """What the detectors that search a state graph share: from a batch to paths and back."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Frames as dynamic programming over whole pixels sees them: through the PSF, psi and phi."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

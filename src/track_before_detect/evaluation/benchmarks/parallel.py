@@ -6,8 +6,6 @@ only what depends on a cancelled target. Beside the candidates they look at stan
 computing everything again, which Eq. 18 is about.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import functools

@@ -1,7 +1,5 @@
 """What ``tbd bench`` can measure, by name."""
 
-from __future__ import annotations
-
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.evaluation.benchmarks import convex, dp, fit, parallel, velocity_filter
 from track_before_detect.evaluation.benchmarks.bench import Bench

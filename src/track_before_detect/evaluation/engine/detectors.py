@@ -1,7 +1,5 @@
 """The detectors that studies search with, made of options that JSON can hold."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import functools
 import json

@@ -5,8 +5,6 @@ everything: parameters of the scene, method, seed. So the result is the same whe
 whatever order runs are carried out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass

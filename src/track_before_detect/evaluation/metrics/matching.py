@@ -1,7 +1,5 @@
 """Which trajectory found which target."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

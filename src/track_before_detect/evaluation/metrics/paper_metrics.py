@@ -6,8 +6,6 @@ Algorithm of Track-before-Detect*, 2018 (Section 4.3). Positions are x, y in pix
 where a trajectory or target is absent.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Detections against false alarms while the threshold varies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """How much of each track is one target, and how much of each target is one track."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

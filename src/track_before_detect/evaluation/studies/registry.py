@@ -1,7 +1,5 @@
 """The suites of ``tbd evaluate`` by name."""
 
-from __future__ import annotations
-
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.evaluation.engine.suite import Suite
 from track_before_detect.evaluation.studies.accuracy import suite as accuracy

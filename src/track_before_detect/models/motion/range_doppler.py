@@ -1,7 +1,5 @@
 """Paths over range-Doppler maps, whose Doppler column says how fast the range changes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Constant velocities on a grid, and the plan of the sums that stacking over them shares."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import hashlib
 import math

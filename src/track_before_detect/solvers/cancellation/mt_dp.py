@@ -10,8 +10,6 @@ no formula for V_DT. Ours is calibrated on noise like that of every other detect
 ``false_alarm_rate`` is the P_fa of a batch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 import math
 

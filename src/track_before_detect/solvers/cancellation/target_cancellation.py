@@ -8,8 +8,6 @@ z is the matched filter statistic, and what a target adds to that of its neighbo
 as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """The convex detector on one batch of prepared frames."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import logging
 

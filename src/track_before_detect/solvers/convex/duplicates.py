@@ -16,8 +16,6 @@ than the one target:
 - with free amplitudes, for two targets may fluctuate apart from each other.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri

@@ -7,8 +7,6 @@ A target that does not look as the PSF says is taken as
 with path, widths and shares c_k fitted to all frames. That explains a target of any round shape.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 import math
 

@@ -15,8 +15,6 @@ only merge, move and remove what is there: their amplitudes are shrunk less than
 residual shows less than in the stage before, and the last stage has the final word.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar

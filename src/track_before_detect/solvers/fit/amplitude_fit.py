@@ -1,7 +1,5 @@
 """Amplitudes of a few paths that overlap, at any t and for any amplitude model."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

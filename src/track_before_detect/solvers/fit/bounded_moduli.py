@@ -8,8 +8,6 @@ overlap. Frames meet in the bounds s alone, so each step solves one small system
 one of as many unknowns as there are paths.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -5,8 +5,6 @@ their stamps. With those numbers and the matched filter of the data along each p
 needs no pixels (Patent Eq. 6-8).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ together: x solves one linear system per frame, u is a group shrinkage with the 
 Algorithm 2 whatever the weights, so that no line search is needed (Patent, after Algorithm 2).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -5,8 +5,6 @@ a ghost, so positions are refined inside the pursuit, those of a target that ent
 together with the frames in which it is there.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 import math

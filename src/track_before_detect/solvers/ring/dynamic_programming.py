@@ -15,8 +15,6 @@ of it aside. So the detectors ``cfo_dp`` to ``mff_dpr`` accumulate that statisti
 :func:`several_targets` does where it is told how to compute it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 import dataclasses
 import itertools

@@ -22,8 +22,6 @@ both directions. Algorithm 1 counts its steps to 2 N, so the forward pass is not
 its fourth frame (beyond its first for the first order).
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor

@@ -14,8 +14,6 @@ to look at is where the bound is largest. It ends when no bound is left above ze
 two to six searches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 import itertools

@@ -4,8 +4,6 @@ The frames of one batch are searched several times, each time with a little more
 Only the states whose paths meet a change, and may pass the threshold, are then computed anew.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial

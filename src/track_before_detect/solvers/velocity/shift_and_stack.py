@@ -7,8 +7,6 @@ application 18/790,866, paragraph 18). A position is that in the middle of the b
 motion outside the frame add nothing to either sum.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bright targets: position error over the Cramér-Rao bound, amplitude, second trajectories."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import functools
 from typing import Any

@@ -1,7 +1,5 @@
 """What the report of the suite ``compare`` says of its numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

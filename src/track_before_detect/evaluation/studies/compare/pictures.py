@@ -1,7 +1,5 @@
 """Pictures of the suite ``compare``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

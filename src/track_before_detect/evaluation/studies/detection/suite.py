@@ -1,7 +1,5 @@
 """How reliably, accurately and quickly the detector finds dim targets, and how rarely noise."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

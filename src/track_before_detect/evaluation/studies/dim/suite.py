@@ -1,7 +1,5 @@
 """Dim targets, by the convex detector and by an exhaustive search over straight lines."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import functools
 import itertools

@@ -1,7 +1,5 @@
 """Batches of noise: how many hold a trajectory beside the rate that was asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import functools
 from typing import Any

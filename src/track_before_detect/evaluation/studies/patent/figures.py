@@ -1,7 +1,5 @@
 """Figures 2-7 of US application 18/790,866, and what a run of each may show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

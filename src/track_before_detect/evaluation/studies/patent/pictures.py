@@ -1,7 +1,5 @@
 """Pictures of the suite ``patent``: six panels per figure, and the shares of all methods."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -4,8 +4,6 @@ One-dimensional frames, targets blurred by a Gaussian and white noise of unit va
 text leaves a number open it is chosen here, once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math

@@ -1,7 +1,5 @@
 """Range-Doppler maps: the SNR at which a target is found with the coupling, and without."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import functools
 from typing import Any

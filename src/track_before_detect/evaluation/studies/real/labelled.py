@@ -1,7 +1,5 @@
 """Recordings with known targets, in the layouts in which they are published."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import csv
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """How methods do on real recordings, as they are and with noise added."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 import math

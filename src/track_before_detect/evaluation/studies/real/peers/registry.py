@@ -1,7 +1,5 @@
 """The peers by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import importlib
 import importlib.util
