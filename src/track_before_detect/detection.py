@@ -107,10 +107,8 @@ def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
 
     Raises
     ------
-    ParameterError
-        An option or an attribute of a sensor is unknown, out of range or refused.
-    DataError
-        Frames or stamps cannot be used.
+    ParameterError, DataError
+        As of :func:`detect`, also for an attribute of a sensor.
 
     Examples
     --------

@@ -2,7 +2,8 @@
 
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +41,7 @@ from track_before_detect.types import FrameBatch, Progress, Step
 LONGER_STREAK = 1.1
 
 
-@dataclass(frozen=True)
-class Task:
+class Task(NamedTuple):
     """One batch, ready to be searched.
 
     Attributes

@@ -65,11 +65,6 @@ class Measurements:
     weights: NDArray[np.float32]
     stamp: NDArray[np.float32]
 
-    @property
-    def n_frames(self) -> int:
-        """Frames of the batch."""
-        return len(self.phi)
-
     def scores(self, merit: Merit) -> NDArray[np.float32]:
         """Return what each pixel adds to the merit function, shape (T, H, W)."""
         scores = np.empty(self.phi.shape, np.float32)

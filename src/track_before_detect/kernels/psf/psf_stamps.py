@@ -40,8 +40,9 @@ def _profiles(optics):
 
 
 @numba.njit(**EXACT)
-def _place(optics, positions, t, ones, rows, columns, row_slopes, column_slopes):
+def _place(optics, positions, t, ones, profiles):
     """Fill the profiles of frame t; return the first pixel of the stamp."""
+    rows, columns, row_slopes, column_slopes = profiles
     smear_x, smear_y = smear_of(optics, positions, t)
     x_0 = int(math.ceil(positions[t, 0] - 0.5)) - optics.half
     y_0 = int(math.ceil(positions[t, 1] - 0.5)) - optics.half
@@ -56,12 +57,12 @@ def render(optics, positions, height, width, weights, stamps, origins, norms):
 
     A stamp of which nearly nothing is left (LEAST_SHARE) is all zero, as is its norm.
     """
-    ones = np.ones(optics.nodes.size)
-    rows, columns, unused, _ = _profiles(optics)
+    ones, profiles = np.ones(optics.nodes.size), _profiles(optics)
+    rows, columns = profiles[0], profiles[1]
     n_parts, size = rows.shape
     weighted = weights.shape[0] > 0
     for t in range(positions.shape[0]):
-        x_0, y_0 = _place(optics, positions, t, ones, rows, columns, unused, unused)
+        x_0, y_0 = _place(optics, positions, t, ones, profiles)
         origins[t, 0] = x_0
         origins[t, 1] = y_0
         stamps[t] = 0.0
@@ -78,9 +79,7 @@ def render(optics, positions, height, width, weights, stamps, origins, norms):
         share = total / product_norm(rows, columns, 0, size, 0, size)
         norms[t] = math.sqrt(share) if share > LEAST_SHARE else 0.0
         factor = 1.0 / math.sqrt(total) if share > LEAST_SHARE else 0.0
-        for i in range(size):
-            for k in range(size):
-                stamps[t, i, k] *= factor
+        stamps[t] *= factor
 
 
 @numba.njit(**EXACT)
@@ -133,12 +132,12 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     changes with the path.
     """
     height, width = frames.shape[1:]
-    ones = np.ones(optics.nodes.size)
-    rows, columns, row_slopes, column_slopes = _profiles(optics)
+    ones, profiles = np.ones(optics.nodes.size), _profiles(optics)
+    rows, columns, row_slopes, column_slopes = profiles
     n_parts, size = rows.shape
     weighted = weights.shape[0] > 0
     for t in range(positions.shape[0]):
-        x_0, y_0 = _place(optics, positions, t, ones, rows, columns, row_slopes, column_slopes)
+        x_0, y_0 = _place(optics, positions, t, ones, profiles)
         first_row, last_row = max(0, -y_0), min(size, height - y_0)
         first, last = max(0, -x_0), min(size, width - x_0)
         h = 0.0 * frames[0, 0, 0]

@@ -1,6 +1,7 @@
 """Constant velocities on a grid, and the plan of the sums that stacking over them shares."""
 
 from dataclasses import dataclass
+from functools import cached_property
 import hashlib
 import math
 from typing import NamedTuple
@@ -21,13 +22,9 @@ GROUPS = (1, 2, 3, 4, 5, 6, 8)
 
 
 class StackPlan(NamedTuple):
-    """Sums of rows that velocities share, as the compiled loop takes them; see ``velocity_stack``.
+    """Sums of rows that velocities share, as the kernel ``velocity_stack`` takes them.
 
-    Attributes
-    ----------
-    node_sources : array of int32, shape (N, 2)
-    node_shifts, node_first, node_last : array of int32, shape (N,)
-    final_sources, final_shifts : array of int32, shape (Vx, G)
+    Sources are of shape (N, 2), the other nodes (N,), both finals (Vx, G).
     """
 
     node_sources: NDArray[np.int32]
@@ -57,8 +54,6 @@ class VelocityGrid:
         Which v_x go with each v_y.
     moves : array of int32, shape (n, T)
         Displacement of each value in whole pixels.
-    plan : StackPlan
-        Of the sums along x.
     """
 
     times: NDArray[np.float64]
@@ -66,12 +61,17 @@ class VelocityGrid:
     first_vx: NDArray[np.int32]
     last_vx: NDArray[np.int32]
     moves: NDArray[np.int32]
-    plan: StackPlan
 
     @property
     def n_velocities(self) -> int:
         """Velocities of the grid."""
         return int(np.sum(self.last_vx - self.first_vx))
+
+    @cached_property
+    def plan(self) -> StackPlan:
+        """Plan of the sums along x that takes the fewest additions."""
+        return min((_plan(self.moves, group) for group in GROUPS),
+                   key=lambda plan: plan.n_additions)
 
     @property
     def step(self) -> float:
@@ -141,14 +141,8 @@ def velocity_grid(stamps: NDArray, max_speed: float, *, disc: bool = True) -> Ve
     if disc and count:
         radius = max_speed * span / PIXELS_PER_BATCH + 1e-9
         half = np.floor(np.sqrt(radius**2 - np.arange(-count, count + 1)**2) + 1e-9).astype(int)
-    moves = whole_steps(axis[:, None] * times)
     return VelocityGrid(times, axis, (count - half).astype(np.int32),
-                        (count + half + 1).astype(np.int32), moves, stack_plan(moves))
-
-
-def stack_plan(moves: NDArray) -> StackPlan:
-    """Return the plan of the fewest additions for moves (Vx, T)."""
-    return min((_plan(moves, group) for group in GROUPS), key=lambda plan: plan.n_additions)
+                        (count + half + 1).astype(np.int32), whole_steps(axis[:, None] * times))
 
 
 class _Sums:

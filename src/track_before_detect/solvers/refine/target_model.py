@@ -24,7 +24,8 @@ class TargetModel:
     Attributes
     ----------
     graph : StateGraph
-        Bounds the speed and prices the turns.
+        Which paths there are: bounds the speed and prices the turns, on the positions of the
+        measurement model.
     measurement : MeasurementModel
         What a target looks like in these frames.
     times : array, shape (T,)

@@ -56,10 +56,8 @@ def _draw(figure: Any, rows: Sequence[Mapping[str, Any]]) -> None:
     axes.plot(line, line, color=GREY, linewidth=1)
     axes.fill_between(line, line / 1.5, line * 1.5, color=GREY, alpha=0.2,
                       label='within a factor of 1.5')
-    axes.set_xscale('log')
-    axes.set_yscale('log')
-    axes.set_xlabel('false alarm rate requested')
-    axes.set_ylabel('share of batches with a trajectory')
+    axes.set(xscale='log', yscale='log', xlabel='false alarm rate requested',
+             ylabel='share of batches with a trajectory')
     tidy([axes], grid=False)
     axes.legend(frameon=False)
 

@@ -5,8 +5,8 @@ text leaves a number open it is chosen here, once.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,8 +36,7 @@ CROSSING_SNRS = (3.0, 2.0)
 CROSSING_PX = 0.5
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """Targets on a line and what a sensor makes of them.
 
     Attributes

@@ -110,9 +110,7 @@ def _draw(figure: Any, snrs: Mapping[str, NDArray]) -> None:
         ordered = np.sort(20 * np.log10(values))
         axes.step(ordered, (1 + np.arange(len(ordered))) / len(ordered), where='post',
                   color=_COLOURS[motion], label=motion)
-    axes.set_xlabel('SNR in one dwell [dB]')
-    axes.set_ylabel('share of targets found')
-    axes.set_ylim(0, 1.02)
+    axes.set(xlabel='SNR in one dwell [dB]', ylabel='share of targets found', ylim=(0, 1.02))
     axes.legend()
     tidy([axes], grid=False)
 
