@@ -89,17 +89,6 @@ def add_path(frames: NDArray, path: NDArray, sigma: float, amplitudes: ArrayLike
             add_streak(frame, x, y, sigma, amplitude, streak)
 
 
-def gaussian_stamp_image(shape: tuple[int, int], x: float, y: float,
-                         sigma: float) -> NDArray[np.float64]:
-    """Return an image (H, W) of one stamp, sampled at pixel centres; arguments as above.
-
-    The norm is 1 before the stamp is cut at the border of the image.
-    """
-    image = np.zeros(shape)
-    add_target(image, x, y, sigma, 1.0)
-    return image
-
-
 def _profile(centre: float, sigma: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
     """Return pixel indices around ``centre`` and unit-norm samples of a Gaussian there."""
     reach = max(1, int(np.ceil(_REACH_SIGMAS * sigma)))

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from false_alarms import assert_rate_is_realised
+from naive import gaussian_stamp_image
 import track_before_detect as tbd
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.studies.parallel import scenes
@@ -11,7 +12,6 @@ from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.motion.transition_sets import directional_sets
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
-from track_before_detect.simulation.sensor import gaussian_stamp_image
 from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.cancellation import target_cancellation
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
