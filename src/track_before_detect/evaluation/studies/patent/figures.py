@@ -1,7 +1,6 @@
 """Figures 2-7 of US application 18/790,866, and what a run of each may show."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,8 +24,7 @@ ROUGH_PX = 2 * scenes.SIGMA_PX
 Shows = Callable[[Scene, NDArray], bool]
 
 
-@dataclass(frozen=True)
-class Criterion:
+class Criterion(NamedTuple):
     """What a run may show.
 
     Attributes
@@ -41,7 +39,7 @@ class Criterion:
 
     label: str
     met: Shows
-    goals: Mapping[str, str] = field(default_factory=dict)
+    goals: Mapping[str, str] = {}
 
 
 class Figure(NamedTuple):
