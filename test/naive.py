@@ -6,6 +6,8 @@ import math
 import numpy as np
 from scipy import ndimage
 
+from track_before_detect.simulation.sensor import add_target
+
 
 def every_path(graph, grid_shape):
     """Yield (positions (T, 2) in grid steps, cost of the turns) of every path of a state graph."""
@@ -354,3 +356,10 @@ def velocity_numbers(grid):
     for i, (first, last) in enumerate(zip(grid.first_vx, grid.last_vx, strict=True)):
         for j in range(first, last):
             yield i, j
+
+
+def gaussian_stamp_image(shape, x, y, sigma):
+    """Return an image (H, W) of one stamp of unit norm, then cut at the border."""
+    image = np.zeros(shape)
+    add_target(image, x, y, sigma, 1.0)
+    return image

@@ -52,12 +52,13 @@ ALLOWED = {
 }
 # The same within a room, for its folders and for files that lie beside them. What is not listed
 # here, such as the files at the top of the solvers, binds the others together.
-TOOLS = {'search', 'refine', 'calibration'}
+TOOLS = {'search', 'refine', 'calibration', 'fit'}
 FRAME = {'batch_detector', 'pixel_statistics'}
 WITHIN = {
     'solvers': {
         'search': {'batch_detector'},
         'refine': set(),
+        'fit': set(),
         'calibration': {'path_statistic', 'search'},
         'convex': TOOLS | {'batch_detector', 'path_detector', 'path_statistic'},
         'clutter': TOOLS | {'batch_detector', 'path_detector'},

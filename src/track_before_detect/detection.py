@@ -92,8 +92,8 @@ def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
         interleave and coincide.
     detector : str
         ``'convex'`` or ``'greedy'``.
-    progress : callable, optional
-        Called with a label and the share done, 0 to 1, during long work.
+    progress
+        As of :func:`detect`.
     **options
         Fields of :class:`DetectorOptions`; speeds are those on the plane, a frame is one of any
         sensor. ``registration``, constant amplitudes and range-Doppler maps are refused.
@@ -108,10 +108,8 @@ def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
 
     Raises
     ------
-    ParameterError
-        An option or an attribute of a sensor is unknown, out of range or refused.
-    DataError
-        Frames or stamps cannot be used.
+    ParameterError, DataError
+        As of :func:`detect`, also for an attribute of a sensor.
 
     Examples
     --------

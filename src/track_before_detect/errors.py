@@ -1,7 +1,10 @@
 """Errors this package raises on purpose."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 import difflib
+from typing import TypeVar
+
+_Item = TypeVar('_Item')
 
 
 class TbdError(Exception):
@@ -18,6 +21,13 @@ class DataError(TbdError, ValueError):
 
 class MissingExtraError(TbdError, ImportError):
     """An optional dependency is needed for what was asked and is not installed."""
+
+
+def named(kind: str, name: str, known: Mapping[str, _Item]) -> _Item:
+    """Return what has a name, or say which of its kind there are."""
+    if name not in known:
+        raise ParameterError(f'unknown {kind} {name!r}; {suggestion(name, known)}')
+    return known[name]
 
 
 def suggestion(name: object, known: Iterable[str]) -> str:

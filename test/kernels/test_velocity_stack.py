@@ -8,7 +8,6 @@ from track_before_detect.kernels import velocity_stack
 from track_before_detect.models.motion.velocity_grid import (
     _plan,
     GROUPS,
-    stack_plan,
     velocity_grid,
 )
 from track_before_detect.solvers.velocity.shift_and_stack import VelocityStack
@@ -50,7 +49,7 @@ def test_best_velocity_equals_the_search_through_all(stamps, shape, signed):
 def test_every_plan_adds_up_the_same(group, monkeypatch):
     stamps = np.arange(11.0)
     psi, phi = images(11, (6, 20), 2)
-    grid = velocity_grid(stamps, 1.0, 2)
+    grid = velocity_grid(stamps, 2.0)
     whole = VelocityStack(grid, (6, 20), 0.5)
     whole.run(psi, phi)
     object.__setattr__(grid, 'plan', _plan(grid.moves, group))
@@ -88,6 +87,5 @@ def test_threads_change_nothing():
 
 
 def test_plan_of_velocities_that_stand_still_is_one_sum():
-    plan = stack_plan(np.zeros((1, 8), np.int32))
-    assert plan.n_additions == 7
+    assert velocity_grid(np.arange(8.0), 0.0).plan.n_additions == 7
     assert velocity_stack.BLOCK % velocity_stack.STEP == 0

@@ -5,9 +5,10 @@ from hypothesis import strategies as st
 import numpy as np
 import pytest
 
+from naive import gaussian_stamp_image
 from track_before_detect.errors import ParameterError
 from track_before_detect.simulation.scenarios import Scenario, SCENARIOS, simulate
-from track_before_detect.simulation.sensor import add_path, gaussian_stamp_image
+from track_before_detect.simulation.sensor import add_path
 
 
 def paths(recording):

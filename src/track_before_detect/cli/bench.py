@@ -1,7 +1,5 @@
 """``tbd bench``: measure time and memory on this machine."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from pathlib import Path
 import sys

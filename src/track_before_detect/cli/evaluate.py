@@ -1,7 +1,5 @@
 """``tbd evaluate``: repeat a study over many recordings."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from pathlib import Path
 import shlex

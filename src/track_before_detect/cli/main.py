@@ -1,7 +1,5 @@
 """Where the command ``tbd`` begins and ends."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import io
 import logging

@@ -1,7 +1,5 @@
 """``tbd simulate``: make a recording with known targets."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 import dataclasses
 from pathlib import Path

@@ -17,8 +17,6 @@ all n_t are one, also beside the border, so that the statistic, the sum of h ove
 additive along a path.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 import math
 from typing import ClassVar

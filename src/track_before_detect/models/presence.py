@@ -1,7 +1,5 @@
 """What it costs a path to be present, to enter and to leave."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

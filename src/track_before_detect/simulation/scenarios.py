@@ -4,8 +4,6 @@ The noise is white and Gaussian with a standard deviation of 1, targets are stam
 Gaussian point spread function, so ``snr`` is the amplitude in one frame.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from dataclasses import dataclass
 import math
@@ -14,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError, suggestion
+from track_before_detect.errors import named, ParameterError, suggestion
 from track_before_detect.options import checked_value, declared
 from track_before_detect.simulation.motions import place_targets
 from track_before_detect.simulation.sensor import add_path
@@ -194,11 +192,10 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
 
 def _overridden(name: str, overrides: dict[str, Any]) -> Scenario:
     """Return the scenario of that name with some parameters changed."""
-    if name not in SCENARIOS:
-        raise ParameterError(f'unknown scenario {name!r}; {suggestion(name, SCENARIOS)}')
+    scenario = named('scenario', name, SCENARIOS)
     names = [field.name for field in dataclasses.fields(Scenario) if field.metadata]
     for key in overrides:
         if key not in names:
             raise ParameterError(
                 f'unknown parameter {key!r} of a scenario; {suggestion(key, names)}')
-    return dataclasses.replace(SCENARIOS[name], **overrides)
+    return dataclasses.replace(scenario, **overrides)

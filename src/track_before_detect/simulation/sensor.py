@@ -1,7 +1,5 @@
 """What a sensor makes of point targets: stamps of a Gaussian point spread function, and noise."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -89,17 +87,6 @@ def add_path(frames: NDArray, path: NDArray, sigma: float, amplitudes: ArrayLike
             frames, path, np.broadcast_to(amplitudes, len(path)), streaks, strict=True):
         if np.isfinite(x):
             add_streak(frame, x, y, sigma, amplitude, streak)
-
-
-def gaussian_stamp_image(shape: tuple[int, int], x: float, y: float,
-                         sigma: float) -> NDArray[np.float64]:
-    """Return an image (H, W) of one stamp, sampled at pixel centres; arguments as above.
-
-    The norm is 1 before the stamp is cut at the border of the image.
-    """
-    image = np.zeros(shape)
-    add_target(image, x, y, sigma, 1.0)
-    return image
 
 
 def _profile(centre: float, sigma: float) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

@@ -1,7 +1,5 @@
 """What every detector of one batch offers: a threshold and a result."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Which paths a detector searches: the bounds of the options, cut to what can be searched."""
 
-from __future__ import annotations
-
 import logging
 
 import numpy as np

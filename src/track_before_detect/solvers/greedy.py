@@ -5,8 +5,6 @@ they explain is subtracted for good. No path is fitted again beside those that f
 moved off the grid: what an early path took from its neighbour stays taken.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
@@ -39,14 +37,6 @@ class GreedyDetector(PathDetector):
             [path] = best
             paths.add(path.positions, path.cost)
             added = len(paths) - 1
-            seen = paths.seen(added)
             paths.assign(np.array([added]), paths.best(added)[None])
-            present = self.scale.present(path.positions, seen)
-            visible = present & paths.visible(added)
-            found.append(FoundTrajectory(
-                np.where(present[:, None], path.positions, np.nan),
-                np.where(present, paths.target_amplitudes(added), np.nan),
-                self.scale.statistic(path.value, len(seen)), model.snr(seen[visible])))
-        found.sort(key=lambda trajectory: -trajectory.statistic)
-        threshold = self.scale.statistic(model.value(paths.threshold), len(task.times))
-        return BatchResult(found, threshold, status, history, float('nan'))
+            found.append(self.trajectory(paths, added, path.value))
+        return self.result(paths, found, status, history)

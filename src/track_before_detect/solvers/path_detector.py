@@ -1,10 +1,9 @@
 """What the detectors that search a state graph share: from a batch to paths and back."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,52 +21,44 @@ from track_before_detect.solvers.batch_detector import (
     BatchDetector,
     BatchResult,
     EarlierPaths,
+    FoundTrajectory,
     max_speed,
 )
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.calibration.path_noise import path_noise_study
 from track_before_detect.solvers.calibration.threshold import threshold_for
-from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
 from track_before_detect.solvers.path_statistic import PathStatistic
+from track_before_detect.solvers.refine.target_model import NO_WEIGHTS, TargetModel
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
 from track_before_detect.solvers.search.periodic_columns import columns_of, doppler_columns
 from track_before_detect.timestamps import median_interval
-from track_before_detect.types import FrameBatch, Progress
+from track_before_detect.types import FrameBatch, Progress, Step
 
 # Longest streak over that of a target at the largest speed: velocities between frames differ from
 # those of the search.
 LONGER_STREAK = 1.1
 
 
-@dataclass(frozen=True)
-class Task:
+class Task(NamedTuple):
     """One batch, ready to be searched.
 
     Attributes
     ----------
-    graph : StateGraph
-        The paths.
+    targets : TargetModel
+        What is known of the targets.
     search : PathSearch
-        Finds the best of them.
+        Finds the best of their paths.
     paths : WorkingSet
         Holds the frames; starts empty.
-    times : array, shape (T,)
-        In the unit of time of the graph.
-    weights : float32 array, shape (T, H, W), (1, H, W) or (0, 0, 0)
-        One over the noise of each pixel, zero where masked; of no frames where it is one.
-    measurement : MeasurementModel
-        What a target looks like in these frames.
     earlier : EarlierPaths or None
         Where targets of the batch before are, on the plane that is searched.
     """
 
-    graph: StateGraph
+    targets: TargetModel
     search: PathSearch
     paths: WorkingSet
-    times: NDArray[np.float64]
-    weights: NDArray[np.float32]
-    measurement: MeasurementModel
     earlier: EarlierPaths | None
 
 
@@ -117,31 +108,38 @@ class PathDetector(BatchDetector):
         frames, weights = self._searched(columns.strip(batch.frames), weights if weights is None
                                          else columns.strip(np.asarray(weights)))
         search = self._path_search(graph, measurement, columns.plane(shape), weights)
-        if weights is None:
-            weights = np.zeros((0, 0, 0), np.float32)
-        paths = WorkingSet(frames, weights, measurement,
+        targets = TargetModel(graph, measurement, self._graphs.times(stamps, measurement),
+                              NO_WEIGHTS if weights is None else weights, self.model,
+                              self.presence)
+        paths = WorkingSet(frames, targets.pixel_weights, measurement,
                            self.scale.penalty(threshold, len(frames)), self.model, columns.period)
-        result = self.solve(Task(graph, search, paths, self._graphs.times(stamps, measurement),
-                                 weights, measurement, columns.on_strip(earlier)))
+        result = self.solve(Task(targets, search, paths, columns.on_strip(earlier)))
         return replace(result, found=columns.in_frame(result.found))
 
     @abstractmethod
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
 
-    def largest_value(self, search: PathSearch, measurement: MeasurementModel, times: NDArray,
-                      ) -> Callable[[NDArray], float]:
-        """Return a function that returns the largest value of any path in frames of noise.
+    def trajectory(self, paths: WorkingSet, path: int, value: float) -> FoundTrajectory:
+        """Return the target of a path of this value that is held."""
+        seen = paths.seen(path)
+        present = self.scale.present(paths.positions[path], seen)
+        return FoundTrajectory(
+            np.where(present[:, None], paths.positions[path], np.nan),
+            np.where(present, paths.target_amplitudes(path), np.nan),
+            self.scale.statistic(value, len(seen)),
+            self.model.snr(seen[present & paths.visible(path)]))
 
-        Parameters
-        ----------
-        search : PathSearch
-            The paths.
-        measurement : MeasurementModel
-            What a target looks like there.
-        times : array, shape (T,)
-            In the unit of time of the graph.
-        """
+    def result(self, paths: WorkingSet, found: list[FoundTrajectory], status: str,
+               history: list[Step], gap: float = float('nan')) -> BatchResult:
+        """Return what was found, best first, with the threshold of a statistic."""
+        threshold = self.scale.statistic(self.model.value(paths.threshold), len(paths.frames))
+        return BatchResult(sorted(found, key=lambda one: -one.statistic), threshold, status,
+                           history, gap)
+
+    def largest_value(self, targets: TargetModel,
+                      search: PathSearch) -> Callable[[NDArray], float]:
+        """Return a function that returns the largest value of any path in frames of noise."""
         return search.best_value
 
     def _graph(self, stamps: NDArray, measurement: MeasurementModel,
@@ -165,7 +163,8 @@ class PathDetector(BatchDetector):
         def searcher(crop: tuple[int, int]) -> Callable[[NDArray], float]:
             seen_as = measurement.window(crop)
             search = path_search(graph, seen_as, columns.plane(crop), self.model, self.presence)
-            return self.largest_value(search, seen_as, times)
+            return self.largest_value(
+                TargetModel(graph, seen_as, times, NO_WEIGHTS, self.model, self.presence), search)
 
         columns = columns_of(self.options, measurement, shape[1], graph)
         return path_noise_study(type(self).__name__, graph, measurement, columns, self.scale,

@@ -1,7 +1,5 @@
 """What the value of a path means: the statistic that is compared with the threshold."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

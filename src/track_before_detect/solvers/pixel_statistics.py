@@ -1,7 +1,5 @@
 """Frames as dynamic programming over whole pixels sees them: through the PSF, psi and phi."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,11 +64,6 @@ class Measurements:
     phi: NDArray[np.float32]
     weights: NDArray[np.float32]
     stamp: NDArray[np.float32]
-
-    @property
-    def n_frames(self) -> int:
-        """Frames of the batch."""
-        return len(self.phi)
 
     def scores(self, merit: Merit) -> NDArray[np.float32]:
         """Return what each pixel adds to the merit function, shape (T, H, W)."""

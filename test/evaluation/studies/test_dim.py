@@ -2,10 +2,11 @@ import numpy as np
 import pytest
 
 from canned import Canned
+from naive import gaussian_stamp_image
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.studies.dim.line_filter import LineFilter
 from track_before_detect.evaluation.studies.dim.suite import run_dim
-from track_before_detect.simulation.sensor import add_path, gaussian_stamp_image
+from track_before_detect.simulation.sensor import add_path
 
 
 def slow_best(frames, model, max_speed, truth=None, limit=np.inf):

@@ -7,8 +7,8 @@ import naive
 from track_before_detect.kernels.amplitude_codes import COMPLEX, COMPLEX_CONSTANT, CONSTANT, SIGNED
 from track_before_detect.kernels.fit import constant_modulus
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
-from track_before_detect.solvers.convex import bounded_moduli
-from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes, objective
+from track_before_detect.solvers.fit import bounded_moduli
+from track_before_detect.solvers.fit.amplitude_fit import fit_amplitudes, objective
 
 MODEL = AMPLITUDE_MODELS[COMPLEX_CONSTANT]
 

@@ -7,7 +7,7 @@ import naive
 from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, SIGNED
 from track_before_detect.kernels.fit import group_lasso
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
-from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes
+from track_before_detect.solvers.fit.amplitude_fit import fit_amplitudes
 
 
 def shrunk(row, weight, code):

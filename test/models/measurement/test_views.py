@@ -7,7 +7,7 @@ from track_before_detect import geometry
 from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.measurement.streak import StreakPsf
-from track_before_detect.solvers.convex.working_set import StampRenderer
+from track_before_detect.solvers.fit.working_set import StampRenderer
 
 T, SHAPE = 6, (24, 30)
 TIMES = np.arange(float(T))

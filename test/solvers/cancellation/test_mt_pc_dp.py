@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from false_alarms import assert_rate_is_realised
+from naive import gaussian_stamp_image
 import track_before_detect as tbd
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.studies.parallel import scenes
@@ -11,7 +12,6 @@ from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.motion.transition_sets import directional_sets
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.scenarios import simulate
-from track_before_detect.simulation.sensor import gaussian_stamp_image
 from track_before_detect.solvers.calibration.noise_study import noise_frames
 from track_before_detect.solvers.cancellation import target_cancellation
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
@@ -40,6 +40,15 @@ def test_bright_targets_of_the_paper_are_all_found_in_their_cells(n_directions, 
     found = made.fuse(searches, bound)
     last = {tuple(track.pixels[-1]) for track in found[:6]}
     assert last == {tuple(cells[-1]) for cells in scene.cells}
+
+
+@pytest.mark.parametrize('detector', DETECTORS)
+def test_searches_over_other_transitions_have_calibrations_of_their_own(detector):
+    made = detector(DetectorOptions(
+        detector={MtDpDetector: 'mt_dp', PcDpDetector: 'pc_dp'}[detector], max_speed_px_s=1.0))
+    often, once = np.array([0.0, 2.0, 4.0, 5.0]), np.array([0.0, 1.0, 2.0, 4.0])
+    # The largest steps are the same.
+    assert made.noise_study(often, (32, 32)).key != made.noise_study(once, (32, 32)).key
 
 
 def test_threads_change_nothing(monkeypatch):

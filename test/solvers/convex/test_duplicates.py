@@ -15,7 +15,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_streak, add_target
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.convex.extended_target import together
-from track_before_detect.solvers.convex.working_set import Source, StampRenderer, WorkingSet
+from track_before_detect.solvers.fit.working_set import Source, StampRenderer, WorkingSet
 from track_before_detect.types import FrameBatch
 
 T = 20

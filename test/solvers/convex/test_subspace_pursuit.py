@@ -13,8 +13,9 @@ from track_before_detect.solvers.convex.subspace_pursuit import (
     pursue,
     PursuitSettings,
 )
-from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.refine.target_model import TargetModel
 from track_before_detect.solvers.search.path_search import path_search
 
 MODEL = AMPLITUDE_MODELS[NON_NEGATIVE]
@@ -53,7 +54,7 @@ def solve(frames, continuation, threshold=6.5, mask=None, model=MODEL, **setting
     search.set_weights(mask)
     valid = NO_MASK if mask is None else mask
     paths = WorkingSet(frames, valid, psf, threshold, model)
-    result = pursue(search, Refiner(graph, psf, STAMPS, valid, model), paths, 3.0,
+    result = pursue(search, Refiner(TargetModel(graph, psf, STAMPS, valid, model)), paths, 3.0,
                     PursuitSettings(continuation, **settings))
     return result, search
 

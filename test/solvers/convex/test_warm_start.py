@@ -15,8 +15,9 @@ from track_before_detect.solvers.batch_detector import EarlierPaths
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.convex.warm_start import starting_paths
-from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.refine.target_model import TargetModel
 from track_before_detect.solvers.search.path_search import path_search
 from track_before_detect.types import FrameBatch
 
@@ -63,7 +64,8 @@ def stream(name, seed):
 def solve(frames, continuation, start=(), *, on_grid=False, threshold=6.5, model=MODEL,
           **settings):
     psf, graph = GaussianPsf(1.0), graph_of(model=model)
-    refiner = OnTheGrid() if on_grid else Refiner(graph, psf, TIMES, NO_MASK, model)
+    refiner = OnTheGrid() if on_grid else Refiner(
+        TargetModel(graph, psf, TIMES, NO_MASK, model))
     paths = WorkingSet(np.ascontiguousarray(frames), NO_MASK, psf, threshold, model)
     return pursue(path_search(graph, psf, (H, W), model), refiner, paths, 3.0,
                   PursuitSettings(continuation, **settings), start)

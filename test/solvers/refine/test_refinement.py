@@ -16,8 +16,9 @@ from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.measurement.streak import StreakPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.models.presence import presence_for
-from track_before_detect.solvers.convex.working_set import StampRenderer, WorkingSet
+from track_before_detect.solvers.fit.working_set import StampRenderer, WorkingSet
 from track_before_detect.solvers.refine.refinement import refiner_for
+from track_before_detect.solvers.refine.target_model import TargetModel
 
 T, SHAPE = 12, (30, 44)
 TIMES = np.arange(float(T))
@@ -54,7 +55,7 @@ def refiner_of(measurement, weights, model, partial=True, acceleration=0.02):
     graph = build_state_graph(TIMES, step_px=0.5, max_speed=2.0, max_acceleration=acceleration,
                               turn_cost=model.turn_cost)
     presence = presence_for(model) if partial else None
-    return refiner_for(graph, measurement, TIMES, weights, model, presence)
+    return refiner_for(TargetModel(graph, measurement, TIMES, weights, model, presence))
 
 
 @pytest.mark.parametrize('model', [NonNegative(), Signed(), Complex(), Constant(),

@@ -9,9 +9,10 @@ from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
-from track_before_detect.solvers.convex.working_set import WorkingSet
+from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.given_paths.fit_paths import fit_paths
 from track_before_detect.solvers.refine.refinement import Refiner
+from track_before_detect.solvers.refine.target_model import TargetModel
 from track_before_detect.solvers.search import viterbi_table as path_table
 from track_before_detect.solvers.search.path_search import path_search
 
@@ -79,7 +80,7 @@ class Scene:
 
     def refiner(self):
         weights = NO_WEIGHTS if self.weights is None else self.weights
-        return Refiner(self.graph, self.psf, STAMPS, weights, self.model)
+        return Refiner(TargetModel(self.graph, self.psf, STAMPS, weights, self.model))
 
 
 CASES = [(kind, noise) for kind in KINDS for noise in NOISES]

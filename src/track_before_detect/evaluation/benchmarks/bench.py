@@ -1,7 +1,5 @@
 """How every bench of ``tbd bench`` is carried out and printed."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol

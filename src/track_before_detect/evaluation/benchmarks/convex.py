@@ -4,8 +4,6 @@ Every case runs in a process of its own, so that its peak memory is its own; the
 take turns, so that whatever else the machine does falls on all of them alike.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import dataclasses
 from typing import Any

@@ -4,8 +4,6 @@ The merit functions alone are measured. The paper's Table 1 (Fu et al. 2022) has
 single targets, which a maximum over the pixels adds little to, in MATLAB on an Intel i5-2400.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import functools

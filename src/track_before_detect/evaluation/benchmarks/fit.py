@@ -5,8 +5,6 @@ pixel a frame in steps of 0.05 whose PSF stays inside. To a duality gap of 1e-6 
 pricing of all paths included. ``test/solvers/given_paths/test_fit_paths.py`` compares with skglm.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -4,8 +4,6 @@ One array operation at a time over all pixels of a frame, candidate after candid
 that are kept; forward only.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A measurement in a process of its own, so that its peak memory is its own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import multiprocessing
 from multiprocessing.connection import Connection

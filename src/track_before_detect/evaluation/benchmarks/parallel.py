@@ -6,8 +6,6 @@ only what depends on a cancelled target. Beside the candidates they look at stan
 computing everything again, which Eq. 18 is about.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 import functools
@@ -98,7 +96,7 @@ def _outcome(search: TargetSearch, scene: ParallelScene, parts: Sequence[Transit
     tracks = searches[0].tracks if len(parts) == 1 else search.fuse(searches, bound)
     # Everything once, and once more for each target found.
     cells = scene.frames[1:].size
-    plain = [cells * _candidates(part) * (1 + len(done.tracks))
+    plain = [cells * int(part.sizes[part.sets[-1]]) * (1 + len(done.tracks))
              for part, done in zip(parts, searches, strict=True)]
     looked_at = [done.n_candidates for done in searches]
     return {
@@ -109,10 +107,6 @@ def _outcome(search: TargetSearch, scene: ParallelScene, parts: Sequence[Transit
         'plain': sum(plain), 'plain_of_slowest': max(plain),
         'found_of_most': max(len(done.tracks) for done in searches),
     }
-
-
-def _candidates(part: TransitionSets) -> int:
-    return int(part.sizes[part.sets[-1]])
 
 
 def _times(scene: ParallelScene, sets: Sets, bounds: Mapping[str, float],

@@ -6,8 +6,6 @@ measured by both: by the whole volume, which is what searching frame by frame wo
 by the weights it computes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 import dataclasses
 from typing import Any

@@ -1,8 +1,6 @@
 """What ``tbd bench`` can measure, by name."""
 
-from __future__ import annotations
-
-from track_before_detect.errors import ParameterError, suggestion
+from track_before_detect.errors import named
 from track_before_detect.evaluation.benchmarks import convex, dp, fit, parallel, velocity_filter
 from track_before_detect.evaluation.benchmarks.bench import Bench
 
@@ -12,6 +10,4 @@ BENCHES: dict[str, Bench] = {
 
 def bench_named(name: str) -> Bench:
     """Return a bench, or say which there are."""
-    if name not in BENCHES:
-        raise ParameterError(f'unknown bench {name!r}; {suggestion(name, BENCHES)}')
-    return BENCHES[name]
+    return named('bench', name, BENCHES)

@@ -1,7 +1,5 @@
 """Times of work that takes turns."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 import time
 from typing import Any

@@ -1,7 +1,5 @@
 """Time of shift-and-stack over constant velocities, beside NumPy in the same run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 import functools

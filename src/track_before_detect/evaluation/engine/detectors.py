@@ -1,7 +1,5 @@
 """The detectors that studies search with, made of options that JSON can hold."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import functools
 import json
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchDetector, BatchResult
 from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
-from track_before_detect.types import FrameBatch, Progress
+from track_before_detect.types import FrameBatch
 
 Options = Mapping[str, Any]
 
@@ -22,12 +20,6 @@ def detector_of(options: Options) -> BatchDetector:
     """Return a new detector, or say what is wrong with its options."""
     made = DetectorOptions.from_mapping(dict(options))
     return DETECTOR_CLASSES[made.detector](made)
-
-
-def threshold_of(options: Options, shape: tuple[int, ...], progress: Progress) -> float:
-    """Return the threshold for batches (T, H, W), one second from frame to frame."""
-    n_frames, height, width = shape
-    return detector_of(options).threshold(stamps_of(n_frames), (height, width), progress)
 
 
 def search(options: Options, frames: NDArray) -> BatchResult:

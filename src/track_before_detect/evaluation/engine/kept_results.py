@@ -1,7 +1,5 @@
 """Results of runs on disk, so that an interrupted study goes on where it stopped."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The machine a measurement was made on, without its name."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 import platform

@@ -1,7 +1,5 @@
 """What the pictures of all reports share: the canvas, colours, bands and legends."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What a study estimates, with the interval it is known to."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

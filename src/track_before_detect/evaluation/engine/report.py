@@ -1,7 +1,5 @@
 """The files that are made of what a suite found out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 import csv
 from dataclasses import asdict

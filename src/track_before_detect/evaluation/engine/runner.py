@@ -5,8 +5,6 @@ everything: parameters of the scene, method, seed. So the result is the same whe
 whatever order runs are carried out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
@@ -14,7 +12,7 @@ import json
 from typing import Any
 
 from track_before_detect.errors import MissingExtraError, ParameterError
-from track_before_detect.evaluation.engine.detectors import Options, threshold_of
+from track_before_detect.evaluation.engine.detectors import detector_of, Options, stamps_of
 from track_before_detect.evaluation.engine.kept_results import KeptResults
 from track_before_detect.parallel import at_most_cores, usable_cores
 from track_before_detect.types import Progress
@@ -101,7 +99,9 @@ class Runner:
 
     def threshold(self, options: Options, shape: tuple[int, ...]) -> float:
         """Return the threshold of a detector for batches of ``shape`` (T, H, W)."""
-        return threshold_of(options, shape, self.progress)
+        n_frames, height, width = shape
+        return detector_of(options).threshold(
+            stamps_of(n_frames), (height, width), self.progress)
 
     def map(self, measure: Measure, items: Sequence[Item], label: str) -> list[dict[str, Any]]:
         """Return the result of each item, in their order.

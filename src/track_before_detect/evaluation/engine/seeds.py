@@ -1,7 +1,5 @@
 """Seeds of the runs of a study, and the items that are made of them."""
 
-from __future__ import annotations
-
 import hashlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A study that can be repeated, and what it hands over."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 import dataclasses
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Tables as text and in Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 Rows = Sequence[Sequence[str]]

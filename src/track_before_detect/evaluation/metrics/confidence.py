@@ -1,7 +1,5 @@
 """Confidence intervals of what a study estimates, at 95 %."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -13,7 +13,7 @@ nothing competes count as one.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,7 @@ _TOLERANCE = 1e-7
 _MOST_ROUNDS = 30
 
 
-@dataclass(frozen=True)
-class TrajectoryGospa:
+class TrajectoryGospa(NamedTuple):
     """Distance of two sets of trajectories, and what it is made of.
 
     Attributes
@@ -93,8 +92,7 @@ def trajectory_gospa(found: Paths, targets: Paths, *, cutoff_px: float, switch_p
     return TrajectoryGospa(float(sum(parts)**(1 / order)), *map(float, parts))
 
 
-@dataclass(frozen=True)
-class _Pairs:
+class _Pairs(NamedTuple):
     """Trajectories and targets that come within the cutoff.
 
     Attributes

@@ -1,9 +1,7 @@
 """Which trajectory found which target."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +14,7 @@ Paths = Sequence[NDArray] | NDArray
 LEAST_OVERLAP = 0.5
 
 
-@dataclass(frozen=True)
-class Matching:
+class Matching(NamedTuple):
     """Pairs of trajectory and target; each is in one pair at most.
 
     Attributes

@@ -6,9 +6,7 @@ Algorithm of Track-before-Detect*, 2018 (Section 4.3). Positions are x, y in pix
 where a trajectory or target is absent.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,8 +34,7 @@ def count_points(found: Paths, targets: Paths) -> tuple[int, int]:
     return int(near.any(axis=0).sum()), int((present & ~near.any(axis=1)).sum())
 
 
-@dataclass(frozen=True)
-class TrackErrors:
+class TrackErrors(NamedTuple):
     """Which targets were detected and how far their tracks are off.
 
     Attributes

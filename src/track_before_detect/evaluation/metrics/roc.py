@@ -1,9 +1,7 @@
 """Detections against false alarms while the threshold varies."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,8 +10,7 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.metrics.confidence import poisson_interval, wilson_interval
 
 
-@dataclass(frozen=True)
-class Roc:
+class Roc(NamedTuple):
     """Receiver operating characteristic, by descending threshold.
 
     Attributes

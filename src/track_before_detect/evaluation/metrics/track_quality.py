@@ -1,8 +1,6 @@
 """How much of each track is one target, and how much of each target is one track."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +9,7 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.metrics.matching import closest_pairs, Paths
 
 
-@dataclass(frozen=True)
-class TrackQuality:
+class TrackQuality(NamedTuple):
     """Purity of tracks and completeness of targets.
 
     In every frame tracks and targets within the limit are paired, as many as possible and then as

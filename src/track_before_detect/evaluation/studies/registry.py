@@ -1,8 +1,6 @@
 """The suites of ``tbd evaluate`` by name."""
 
-from __future__ import annotations
-
-from track_before_detect.errors import ParameterError, suggestion
+from track_before_detect.errors import named
 from track_before_detect.evaluation.engine.suite import Suite
 from track_before_detect.evaluation.studies.accuracy import suite as accuracy
 from track_before_detect.evaluation.studies.compare import suite as compare
@@ -33,6 +31,4 @@ SUITES: dict[str, Suite] = {
 
 def suite_named(name: str) -> Suite:
     """Return a suite, or say which there are."""
-    if name not in SUITES:
-        raise ParameterError(f'unknown suite {name!r}; {suggestion(name, SUITES)}')
-    return SUITES[name]
+    return named('suite', name, SUITES)

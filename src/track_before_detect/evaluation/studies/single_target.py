@@ -4,8 +4,6 @@ White noise of standard deviation 1 and targets that are unit-norm Gaussian stam
 is the amplitude. The detector is the convex one with default options.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -177,16 +177,8 @@ def value_and_gap(amplitudes, matched, slack, weight, non_negative, energy):
 
 
 @numba.njit(**UNCHECKED)
-def _copy(values, out):
-    for p in range(values.shape[0]):
-        for d in range(values.shape[1]):
-            for k in range(values.shape[2]):
-                out[p, d, k] = values[p, d, k]
-
-
-@numba.njit(**UNCHECKED)
 def _slack(amplitudes, matched, gram, slack):
-    _copy(matched, slack)
+    slack[:] = matched
     for p in range(amplitudes.shape[0]):
         _change(slack, gram, p, amplitudes[p])
 
@@ -295,23 +287,17 @@ def _try_newton(amplitudes, slack, matched, gram, weight, non_negative, energy, 
     before = np.empty(n_paths)
     for p in range(n_paths):
         before[p] = _norm(amplitudes[p])
-    norms = np.empty(n_paths)
-    for p in range(n_paths):
-        norms[p] = before[p]
-    trial = np.empty(amplitudes.shape)
-    trial_slack = np.empty(slack.shape)
-    _copy(amplitudes, trial)
+    norms, trial, trial_slack = before.copy(), amplitudes.copy(), np.empty(slack.shape)
     _newton_step(norms, trial, matched, gram, weight, non_negative)
     for _ in range(MOST_TRIALS):
         _fit_given_norms(norms, trial, matched, gram, weight, non_negative, np.empty((0, 0)))
         _slack(trial, matched, gram, trial_slack)
         reached, gap, _ = value_and_gap(trial, matched, trial_slack, weight, non_negative, energy)
         if reached <= objective + 1e-14 * energy:
-            _copy(trial, amplitudes)
-            _copy(trial_slack, slack)
+            amplitudes[:] = trial
+            slack[:] = trial_slack
             return gap
-        for p in range(n_paths):
-            norms[p] += 0.7 * (before[p] - norms[p])
+        norms += 0.7 * (before - norms)
     return math.inf
 
 

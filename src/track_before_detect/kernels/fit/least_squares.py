@@ -175,9 +175,7 @@ def solve(amplitudes, matched, gram, non_negative):
     ends = np.empty(n_paths, np.int64)
     solved = True
     for k in range(n_frames):
-        for p in range(n_paths):
-            for q in range(n_paths):
-                of_frame[p, q] = gram[p, q, k]
+        of_frame[:] = gram[:, :, k]
         first = 0
         for number in range(find_blocks(of_frame, order, ends)):
             n = ends[number] - first

@@ -47,6 +47,13 @@ def map_position(matrix, x, y, slope):
 
 
 @numba.njit(**EXACT)
+def _seen_at(compiled, positions, weights, t, at, slope):
+    """Write the place in frame t to ``at`` (1, 2), its derivative to ``slope``; return weights."""
+    at[0, 0], at[0, 1] = map_position(compiled.maps[t], positions[t, 0], positions[t, 1], slope)
+    return weights[t:t + 1] if weights.shape[0] > 1 else weights
+
+
+@numba.njit(**EXACT)
 def render_path(compiled, positions, height, width, weights, stamps, origins, norms):
     """Fill ``stamps``, ``origins`` and ``norms`` as ``stamps.render`` does.
 
@@ -58,9 +65,7 @@ def render_path(compiled, positions, height, width, weights, stamps, origins, no
     at = np.empty((1, 2))
     slope = np.empty((2, 2))
     for t in range(positions.shape[0]):
-        at[0, 0], at[0, 1] = map_position(compiled.maps[t], positions[t, 0], positions[t, 1],
-                                          slope)
-        own = weights[t:t + 1] if weights.shape[0] > 1 else weights
+        own = _seen_at(compiled, positions, weights, t, at, slope)
         render(compiled.optics[compiled.sensor[t]], at, height, width, own, stamps[t:t + 1],
                origins[t:t + 1], norms[t:t + 1])
 
@@ -74,9 +79,7 @@ def evaluate(compiled, positions, frames, weights, model, out, norms):
     at = np.empty((1, 2))
     slope = np.empty((2, 2))
     for t in range(positions.shape[0]):
-        at[0, 0], at[0, 1] = map_position(compiled.maps[t], positions[t, 0], positions[t, 1],
-                                          slope)
-        own = weights[t:t + 1] if weights.shape[0] > 1 else weights
+        own = _seen_at(compiled, positions, weights, t, at, slope)
         statistic_and_slope(compiled.optics[compiled.sensor[t]], at, frames[t:t + 1], own, model,
                             out[t:t + 1], norms[t:t + 1])
         in_x, in_y = out[t, 1], out[t, 2]

@@ -34,8 +34,15 @@ LEAST_SHARE = 1e-3
 
 
 @numba.njit(**EXACT)
-def _place(optics, positions, t, ones, rows, row_slopes, columns, column_slopes):
+def _profiles(optics):
+    """Return room for profiles and their slopes (4, N, K): rows, columns, and those of each."""
+    return np.empty((4, optics.coefficients.shape[0] * optics.nodes.size, 2 * optics.half + 1))
+
+
+@numba.njit(**EXACT)
+def _place(optics, positions, t, ones, profiles):
     """Fill the profiles of frame t; return the first pixel of the stamp."""
+    rows, columns, row_slopes, column_slopes = profiles
     smear_x, smear_y = smear_of(optics, positions, t)
     x_0 = int(math.ceil(positions[t, 0] - 0.5)) - optics.half
     y_0 = int(math.ceil(positions[t, 1] - 0.5)) - optics.half
@@ -50,16 +57,12 @@ def render(optics, positions, height, width, weights, stamps, origins, norms):
 
     A stamp of which nearly nothing is left (LEAST_SHARE) is all zero, as is its norm.
     """
-    n_frames = positions.shape[0]
-    size = 2 * optics.half + 1
-    n_parts = optics.coefficients.shape[0] * optics.nodes.size
-    ones = np.ones(optics.nodes.size)
-    rows = np.empty((n_parts, size))
-    columns = np.empty((n_parts, size))
-    unused = np.empty((n_parts, size))
+    ones, profiles = np.ones(optics.nodes.size), _profiles(optics)
+    rows, columns = profiles[0], profiles[1]
+    n_parts, size = rows.shape
     weighted = weights.shape[0] > 0
-    for t in range(n_frames):
-        x_0, y_0 = _place(optics, positions, t, ones, rows, unused, columns, unused)
+    for t in range(positions.shape[0]):
+        x_0, y_0 = _place(optics, positions, t, ones, profiles)
         origins[t, 0] = x_0
         origins[t, 1] = y_0
         stamps[t] = 0.0
@@ -76,9 +79,7 @@ def render(optics, positions, height, width, weights, stamps, origins, norms):
         share = total / product_norm(rows, columns, 0, size, 0, size)
         norms[t] = math.sqrt(share) if share > LEAST_SHARE else 0.0
         factor = 1.0 / math.sqrt(total) if share > LEAST_SHARE else 0.0
-        for i in range(size):
-            for k in range(size):
-                stamps[t, i, k] *= factor
+        stamps[t] *= factor
 
 
 @numba.njit(**EXACT)
@@ -130,18 +131,13 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     seen. Of complex frames these are |h| and its slope. The slope leaves out that the smear
     changes with the path.
     """
-    n_frames = positions.shape[0]
     height, width = frames.shape[1:]
-    size = 2 * optics.half + 1
-    n_parts = optics.coefficients.shape[0] * optics.nodes.size
-    ones = np.ones(optics.nodes.size)
-    rows = np.empty((n_parts, size))
-    columns = np.empty((n_parts, size))
-    row_slopes = np.empty((n_parts, size))
-    column_slopes = np.empty((n_parts, size))
+    ones, profiles = np.ones(optics.nodes.size), _profiles(optics)
+    rows, columns, row_slopes, column_slopes = profiles
+    n_parts, size = rows.shape
     weighted = weights.shape[0] > 0
-    for t in range(n_frames):
-        x_0, y_0 = _place(optics, positions, t, ones, rows, row_slopes, columns, column_slopes)
+    for t in range(positions.shape[0]):
+        x_0, y_0 = _place(optics, positions, t, ones, profiles)
         first_row, last_row = max(0, -y_0), min(size, height - y_0)
         first, last = max(0, -x_0), min(size, width - x_0)
         h = 0.0 * frames[0, 0, 0]

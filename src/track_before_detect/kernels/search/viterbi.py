@@ -72,6 +72,31 @@ class Layout(NamedTuple):
     guard: int
 
 
+class Turns(NamedTuple):
+    """Which velocities may follow which, and what that costs.
+
+    Attributes
+    ----------
+    slots : array of int64, shape (V,)
+        Where each velocity lies on a flat grid of velocities with ``columns`` columns.
+    velocity_at : array of int64, shape (S,)
+        Velocity at each place of that grid, V where there is none, as everywhere within ``reach``
+        of its edges.
+    columns : int
+        Columns of that grid.
+    reach : int
+        Steps by which either component of the velocity may change between two segments.
+    cost : float32
+        Of one step.
+    """
+
+    slots: NDArray[np.int64]
+    velocity_at: NDArray[np.int64]
+    columns: int
+    reach: int
+    cost: np.float32
+
+
 class Segment(NamedTuple):
     """One segment of a state graph.
 
@@ -85,17 +110,8 @@ class Segment(NamedTuple):
         Rows from which all frames stay on the grid.
     arrival : array of int64, shape (V, 2)
         Displacement (x, y) over the segment before; of no rows for the first segment.
-    slots : array of int64, shape (V,)
-        Where each velocity lies on a flat grid of velocities with ``columns`` columns.
-    velocity_at : array of int64, shape (S,)
-        Velocity at each place of that grid, V where there is none, as everywhere within ``reach``
-        of its edges.
-    columns : int
-        Columns of that grid.
-    reach : int
-        Steps by which either component of the velocity may change before the segment.
-    cost : float32
-        Of one step.
+    turns : Turns
+        Those before the segment.
     """
 
     offsets: NDArray[np.int64]
@@ -103,11 +119,7 @@ class Segment(NamedTuple):
     first_y: NDArray[np.int64]
     last_y: NDArray[np.int64]
     arrival: NDArray[np.int64]
-    slots: NDArray[np.int64]
-    velocity_at: NDArray[np.int64]
-    columns: int
-    reach: int
-    cost: np.float32
+    turns: Turns
 
 
 @numba.njit(**FINITE)
@@ -264,7 +276,7 @@ def _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs,
     """Extend the best paths by one segment in row ``y``, where marks[y] says so.
 
     The row of velocity v is written from out[place + v * step] on. What comes after ``costs`` is
-    of a ``Segment``, then work space.
+    of a ``Segment`` and its ``Turns``, then work space.
     """
     n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
     n_blocks = (lanes + block - 1) // block
@@ -372,9 +384,8 @@ def extend_paths(value, best, before, scores, segment, layout, costs, marks, fin
     before, scores, marks = borrowed(before), borrowed(scores), borrowed(marks)
     offsets, rows = borrowed(segment.offsets), borrowed(segment.rows)
     # Taken out once: each use of a tuple that holds arrays updates their reference counts.
-    first_y, last_y = segment.first_y, segment.last_y
-    arrival, slots, velocity_at = segment.arrival, segment.slots, segment.velocity_at
-    columns, reach, cost = segment.columns, segment.reach, segment.cost
+    first_y, last_y, arrival = segment.first_y, segment.last_y, segment.arrival
+    slots, velocity_at, columns, reach, cost = segment.turns
     flat_best = best.reshape(best.size)
     kept = value.size > 0
     room = np.empty(0 if kept else n_v * lanes, np.float32)

@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.compile_flags import EXACT
 from track_before_detect.kernels.rows import ABSENT
+from track_before_detect.kernels.search.viterbi import Turns
 
 # A start that is on no grid.
 NOWHERE = -2**40
 
 
 class Motion(NamedTuple):
-    """All segments of a state graph; fields as of a ``Segment`` and of the graph.
+    """All segments of a state graph; fields as of the graph.
 
     Attributes
     ----------
@@ -22,8 +23,7 @@ class Motion(NamedTuple):
     moves, end_moves : array of int64, shape (T, V, 2) and (J, V, 2)
     kinds : array of int64, shape (V,)
         Which of several scores is that of a velocity.
-    slots, velocity_at, columns, reach, cost
-        As of a segment.
+    turns : Turns
     entry, leaving : float32
         Cost of beginning after the first frame and of ending before the last; as large as a
         number that is ``ABSENT`` where that may not be.
@@ -33,11 +33,7 @@ class Motion(NamedTuple):
     moves: NDArray[np.int64]
     end_moves: NDArray[np.int64]
     kinds: NDArray[np.int64]
-    slots: NDArray[np.int64]
-    velocity_at: NDArray[np.int64]
-    columns: int
-    reach: int
-    cost: np.float32
+    turns: Turns
     entry: np.float32
     leaving: np.float32
 
@@ -58,9 +54,10 @@ def _best_arrival(tables, j, y, x, v, motion, layout):
     best, chosen, turned = ABSENT, -1, 0
     if j == 0:
         return chosen, np.float32(0), turned
-    for k in range(-motion.reach, motion.reach + 1):
-        for m in range(-motion.reach, motion.reach + 1):
-            other = motion.velocity_at[motion.slots[v] + k * motion.columns + m]
+    may = motion.turns
+    for k in range(-may.reach, may.reach + 1):
+        for m in range(-may.reach, may.reach + 1):
+            other = may.velocity_at[may.slots[v] + k * may.columns + m]
             if other == layout.n_v:
                 continue
             row = y - motion.end_moves[j - 1, other, 1]
@@ -68,7 +65,7 @@ def _best_arrival(tables, j, y, x, v, motion, layout):
             if 0 <= row < layout.n_y and 0 <= column < layout.n_x:
                 steps = abs(k) + abs(m)
                 weight = (tables[j - 1, layout.guard + (row * layout.n_v + other) * layout.stride
-                                 + column] - np.float32(steps) * motion.cost)
+                                 + column] - np.float32(steps) * may.cost)
                 if weight > best:
                     best, chosen, turned = weight, other, steps
     return chosen, best, turned

@@ -157,8 +157,9 @@ def changed_states(marks, marks_before, score_marks, moves, segment, layout, fir
     """
     n_y, n_v = marks.shape
     met_before = np.zeros(n_v, np.uint64)
-    beside = np.empty(segment.velocity_at.size, np.uint64)
-    arrival, slots = segment.arrival, segment.slots
+    arrival, turns = segment.arrival, segment.turns
+    beside = np.empty(turns.velocity_at.size, np.uint64)
+    slots = turns.slots
     arriving = np.zeros(n_v, np.uint64)
     n_blocks = (layout.lanes + layout.block - 1) // layout.block
     all_blocks = ~_U(0) >> _U(BLOCKS - n_blocks)
@@ -170,7 +171,7 @@ def changed_states(marks, marks_before, score_marks, moves, segment, layout, fir
                 if 0 <= row < n_y and marks_before[row, v]:
                     arriving[v] = _shifted_blocks(marks_before[row, v], -arrival[v, 0],
                                                   layout.block)
-            _spread(met_before, arriving, slots, segment.columns, segment.reach, beside)
+            _spread(met_before, arriving, slots, turns.columns, turns.reach, beside)
         for v in range(n_v):
             met = met_before[v]
             for t in range(moves.shape[0]):
@@ -183,10 +184,10 @@ def changed_states(marks, marks_before, score_marks, moves, segment, layout, fir
 @numba.njit(**FINITE)
 def spread_turns(near, wanted, segment, first_row, last_row):
     """Write to near[y, v] all that is wanted for a velocity within reach of v."""
-    beside = np.empty(segment.velocity_at.size, np.uint64)
-    slots = segment.slots
+    slots, velocity_at, columns, reach, _ = segment.turns
+    beside = np.empty(velocity_at.size, np.uint64)
     for y in range(first_row, last_row):
-        _spread(near[y], wanted[y], slots, segment.columns, segment.reach, beside)
+        _spread(near[y], wanted[y], slots, columns, reach, beside)
 
 
 @numba.njit(**FINITE)

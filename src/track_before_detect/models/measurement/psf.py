@@ -75,9 +75,6 @@ class Psf(ABC):
 
         A target d px off loses curvature * d^2 / 2 of its statistic.
         """
-        return self._sampled_curvature()
-
-    def _sampled_curvature(self) -> NDArray[np.float64]:
         found = []
         for phase in np.arange(4) / 4:
             rows, row_slopes = self.profiles(0, phase)
@@ -259,9 +256,7 @@ class GaussianPsf(Psf):
     @cached_property
     def curvature(self) -> NDArray[np.float64]:
         """Squared norm of the slope of the unit-norm stamp in x and in y, per pixel squared."""
-        if self.integrated:
-            return self._sampled_curvature()
-        return np.full(2, 1 / (2 * self.sigma_px**2))
+        return super().curvature if self.integrated else np.full(2, 1 / (2 * self.sigma_px**2))
 
 
 class ArrayPsf(Psf):

@@ -1,7 +1,5 @@
 """Paths over range-Doppler maps, whose Doppler column says how fast the range changes."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -22,10 +20,8 @@ def build_range_doppler_graph(stamps: NDArray, *, step_px: float, rows_per_colum
 
     Parameters
     ----------
-    stamps : array, shape (T,)
-        In any unit of time, strictly increasing.
-    step_px : float
-        Distance of neighbouring positions in pixels.
+    stamps, step_px
+        As of ``build_state_graph``, stamps strictly increasing.
     rows_per_column : float
         Range bins per unit of time for each Doppler bin.
     still_column : float

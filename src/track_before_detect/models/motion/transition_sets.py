@@ -8,8 +8,6 @@ quadrants of Guo et al. 2018 (Eq. 11-12, Fig. 2, section 4.2): neighbouring part
 on their border and all of them the pixel itself.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 import math

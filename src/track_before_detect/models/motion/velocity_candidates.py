@@ -5,8 +5,6 @@ straight line, so its velocities are multiples of half a pixel per frame: over t
 move by whole pixels, over one frame a half rounds either way.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 import itertools
 

@@ -1,10 +1,10 @@
 """Constant velocities on a grid, and the plan of the sums that stacking over them shares."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from functools import cached_property
 import hashlib
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +21,10 @@ MOST_POSITIONS = 64
 GROUPS = (1, 2, 3, 4, 5, 6, 8)
 
 
-@dataclass(frozen=True)
-class StackPlan:
-    """Sums of rows that velocities share; see the module ``kernels.velocity_stack``.
+class StackPlan(NamedTuple):
+    """Sums of rows that velocities share, as the kernel ``velocity_stack`` takes them.
 
-    Attributes
-    ----------
-    node_sources : array of int32, shape (N, 2)
-    node_shifts, node_first, node_last : array of int32, shape (N,)
-    final_sources, final_shifts : array of int32, shape (Vx, G)
+    Sources are of shape (N, 2), the other nodes (N,), both finals (Vx, G).
     """
 
     node_sources: NDArray[np.int32]
@@ -43,12 +38,6 @@ class StackPlan:
     def n_additions(self) -> int:
         """Rows that are added up for all v_x; stacking each on its own takes Vx (T - 1)."""
         return len(self.node_sources) + self.final_sources.size - len(self.final_sources)
-
-    @property
-    def arrays(self) -> tuple[NDArray[np.int32], ...]:
-        """All of them in the order in which the compiled loop takes them."""
-        return (self.node_sources, self.node_shifts, self.node_first, self.node_last,
-                self.final_sources, self.final_shifts)
 
 
 @dataclass(frozen=True)
@@ -64,9 +53,7 @@ class VelocityGrid:
     first_vx, last_vx : array of int32, shape (n,)
         Which v_x go with each v_y.
     moves : array of int32, shape (n, T)
-        Displacement of each value in steps of the grid of positions.
-    plan : StackPlan
-        Of the sums along x.
+        Displacement of each value in whole pixels.
     """
 
     times: NDArray[np.float64]
@@ -74,12 +61,17 @@ class VelocityGrid:
     first_vx: NDArray[np.int32]
     last_vx: NDArray[np.int32]
     moves: NDArray[np.int32]
-    plan: StackPlan
 
     @property
     def n_velocities(self) -> int:
         """Velocities of the grid."""
         return int(np.sum(self.last_vx - self.first_vx))
+
+    @cached_property
+    def plan(self) -> StackPlan:
+        """Plan of the sums along x that takes the fewest additions."""
+        return min((_plan(self.moves, group) for group in GROUPS),
+                   key=lambda plan: plan.n_additions)
 
     @property
     def step(self) -> float:
@@ -129,8 +121,7 @@ class VelocityGrid:
         return ((at >= -0.5) & (at <= length - 0.5)).astype(float)
 
 
-def velocity_grid(stamps: NDArray, max_speed: float, steps_per_px: int = 1, *,
-                  disc: bool = True) -> VelocityGrid:
+def velocity_grid(stamps: NDArray, max_speed: float, *, disc: bool = True) -> VelocityGrid:
     """Return the velocities up to a speed.
 
     Parameters
@@ -139,8 +130,6 @@ def velocity_grid(stamps: NDArray, max_speed: float, steps_per_px: int = 1, *,
         Seconds, strictly increasing.
     max_speed : float
         Pixels per second.
-    steps_per_px : int
-        Positions per pixel.
     disc : bool
         Whether the largest speed bounds the length of the velocity, or each component.
     """
@@ -152,15 +141,8 @@ def velocity_grid(stamps: NDArray, max_speed: float, steps_per_px: int = 1, *,
     if disc and count:
         radius = max_speed * span / PIXELS_PER_BATCH + 1e-9
         half = np.floor(np.sqrt(radius**2 - np.arange(-count, count + 1)**2) + 1e-9).astype(int)
-    displacement = axis[:, None] * times * steps_per_px
-    moves = whole_steps(displacement)
     return VelocityGrid(times, axis, (count - half).astype(np.int32),
-                        (count + half + 1).astype(np.int32), moves, stack_plan(moves))
-
-
-def stack_plan(moves: NDArray) -> StackPlan:
-    """Return the plan of the fewest additions for moves (Vx, T)."""
-    return min((_plan(moves, group) for group in GROUPS), key=lambda plan: plan.n_additions)
+                        (count + half + 1).astype(np.int32), whole_steps(axis[:, None] * times))
 
 
 class _Sums:

@@ -10,8 +10,6 @@ no formula for V_DT. Ours is calibrated on noise like that of every other detect
 ``false_alarm_rate`` is the P_fa of a batch.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 import math
 
@@ -61,15 +59,21 @@ class MtDpDetector(BatchDetector):
 
     def transition_sets(self, stamps: NDArray) -> list[TransitionSets]:
         """Return the transition sets that are searched apart from each other."""
+        return directional_sets(self._reaches(stamps), self.n_directions)
+
+    def _reaches(self, stamps: NDArray) -> NDArray[np.int64]:
+        """Return the largest step to each frame in pixels, the first of them 0."""
         steps = max_speed(self.options, stamps) * np.diff(stamps, prepend=stamps[0])
         # A speed that makes two pixels of an interval but for rounding makes no third.
-        reaches = np.ceil(steps - 1e-6).astype(int)
-        return directional_sets(reaches, self.n_directions)
+        return np.ceil(steps - 1e-6).astype(int)
 
     def noise_study(self, stamps: NDArray, shape: tuple[int, int]) -> NoiseStudy:
         """Return how to find the largest statistic of any path in noise."""
-        directions = self.transition_sets(stamps)
-        reach = max(int(np.abs(sets.rows).max()) for sets in directions)
+        reaches = self._reaches(stamps)
+        directions = directional_sets(reaches, self.n_directions)
+        reach = int(reaches.max())
+        # A number where all are alike, as kept calibrations of equal intervals have it.
+        steps = reach if len(set(reaches[1:])) <= 1 else reaches.tolist()
 
         def searcher(crop: tuple[int, int]) -> Callable[[np.random.Generator], float]:
             def largest(generator: np.random.Generator) -> float:
@@ -83,7 +87,7 @@ class MtDpDetector(BatchDetector):
             return float(np.prod(np.maximum(np.array(crop) - reach, 0.5)))
 
         return NoiseStudy(
-            f'{self.options.detector} {self.n_directions} {len(stamps)} {reach} {self.psf.key} '
+            f'{self.options.detector} {self.n_directions} {len(stamps)} {steps} {self.psf.key} '
             f'{self.merit} {self._complex}', area, searcher)
 
     def detect(self, batch: FrameBatch, weights: NDArray | None = None,

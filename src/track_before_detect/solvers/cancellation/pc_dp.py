@@ -6,8 +6,6 @@ where they coincide in more than half of their pixels. All parts share one thres
 the largest merit of any of them in noise.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from track_before_detect.models.motion.transition_sets import TransitionSets

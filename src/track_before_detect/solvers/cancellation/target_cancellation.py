@@ -8,11 +8,9 @@ z is the matched filter statistic, and what a target adds to that of its neighbo
 as well.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +28,7 @@ LEAST_FOR_THREADS = 100_000
 COINCIDENCE = 0.5
 
 
-@dataclass(frozen=True)
-class Track:
+class Track(NamedTuple):
     """A target as one search found it.
 
     Attributes
@@ -49,8 +46,7 @@ class Track:
     value: float
 
 
-@dataclass(frozen=True)
-class Search:
+class Search(NamedTuple):
     """What one search over one transition set found.
 
     Attributes
@@ -99,8 +95,8 @@ class TargetSearch:
         """
         data, merit = self._measurements, self._merit
         scores = self.scores.copy() if np.isfinite(bound) else self.scores
-        paths = np.empty((MOST_TARGETS, data.n_frames, 2), np.int32)
-        seen = np.empty((MOST_TARGETS, len(data.psi), data.n_frames), np.float32)
+        paths = np.empty((MOST_TARGETS, len(data.phi), 2), np.int32)
+        seen = np.empty((MOST_TARGETS, len(data.psi), len(data.phi)), np.float32)
         values = np.empty(MOST_TARGETS, np.float32)
         found, left, n_candidates = transition_dp.find_targets(
             data.psi, data.phi, data.weights, data.stamp, self._exclusion, merit.squared,

@@ -1,7 +1,5 @@
 """The convex detector on one batch of prepared frames."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import logging
 
@@ -9,15 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.models.measurement.base import MeasurementModel
-from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
+from track_before_detect.solvers.batch_detector import BatchResult
 from track_before_detect.solvers.convex.duplicates import DuplicateSearch
 from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings, state_of
 from track_before_detect.solvers.convex.warm_start import starting_paths
-from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.path_detector import PathDetector, Task
-from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
+from track_before_detect.solvers.refine.refinement import refiner_for
+from track_before_detect.solvers.refine.target_model import TargetModel
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
 from track_before_detect.types import Step
 
@@ -42,13 +39,12 @@ class ConvexDetector(PathDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
         paths = task.paths
-        refiner = self._refiner(task.graph, task.measurement, task.times, task.weights)
-        result = pursue(task.search, refiner, paths, self._separation,
+        result = pursue(task.search, refiner_for(task.targets), paths, self._separation,
                         PursuitSettings(self.options.continuation), self._start(task))
         self._merge_duplicates(task, result.history)
-        threshold = self.scale.statistic(self.model.value(paths.threshold), len(task.times))
-        return BatchResult(self._collect(paths), threshold, result.status, result.history,
-                           result.gap)
+        # Less their costs, so that every statistic meets the same threshold.
+        found = [self.trajectory(paths, path, paths.value(path)) for path in range(len(paths))]
+        return self.result(paths, found, result.status, result.history, result.gap)
 
     def _merge_duplicates(self, task: Task, history: list[Step]) -> None:
         """Leave one path for each target, though it may look unlike the PSF.
@@ -58,9 +54,8 @@ class ConvexDetector(PathDetector):
         """
         if self.options.continuation[-1] > 0:
             return
-        paths, psf = task.paths, task.measurement
-        widths = DuplicateSearch(task.graph, psf, task.times, task.weights, paths,
-                                 self.presence).merge()
+        paths, psf = task.paths, task.targets.measurement
+        widths = DuplicateSearch(task.targets, paths).merge()
         if not len(widths):
             return
         history.append(state_of(paths, 0.0))
@@ -73,17 +68,18 @@ class ConvexDetector(PathDetector):
         """Return the paths to begin with."""
         if task.earlier is None:
             return []
-        limits = task.measurement.limits(task.paths.frames.shape[1:])
-        return starting_paths(task.graph, task.times, limits, task.earlier, self.presence)
+        targets = task.targets
+        limits = targets.measurement.limits(task.paths.frames.shape[1:])
+        return starting_paths(targets.graph, targets.times, limits, task.earlier, self.presence)
 
-    def largest_value(self, search: PathSearch, measurement: MeasurementModel, times: NDArray,
-                      ) -> Callable[[NDArray], float]:
+    def largest_value(self, targets: TargetModel,
+                      search: PathSearch) -> Callable[[NDArray], float]:
         """Return a function that returns the largest value of any refined path in noise.
 
         A target is decided on by its refined path. Only the best few of the grid are refined:
         the best after them is among these.
         """
-        refiner = self._refiner(search.graph, measurement, times, np.zeros((0, 0, 0), np.float32))
+        refiner = refiner_for(targets)
 
         def largest(frames: NDArray) -> float:
             search.forget()
@@ -104,21 +100,3 @@ class ConvexDetector(PathDetector):
     @property
     def _separation(self) -> float:
         return SEPARATION * self.measurement.width_px
-
-    def _refiner(self, graph: StateGraph, psf: MeasurementModel, times: NDArray,
-                 weights: NDArray) -> PathRefiner:
-        return refiner_for(graph, psf, times, weights, self.model, self.presence)
-
-    def _collect(self, paths: WorkingSet) -> list[FoundTrajectory]:
-        found = []
-        for path in range(len(paths)):
-            seen = paths.seen(path)
-            model = paths.model
-            present = self.scale.present(paths.positions[path], seen)
-            visible = present & paths.visible(path)
-            found.append(FoundTrajectory(
-                np.where(present[:, None], paths.positions[path], np.nan),
-                np.where(present, paths.target_amplitudes(path), np.nan),
-                # Less its cost, so that every statistic meets the same threshold.
-                self.scale.statistic(paths.value(path), len(seen)), model.snr(seen[visible])))
-        return sorted(found, key=lambda trajectory: -trajectory.statistic)

@@ -16,21 +16,17 @@ than the one target:
 - with free amplitudes, for two targets may fluctuate apart from each other.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from track_before_detect.models.measurement.base import MeasurementModel
-from track_before_detect.models.motion.state_graph import StateGraph
-from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.convex.extended_target import (
     ExtendedTarget,
     ExtendedTargetFitter,
     together,
 )
-from track_before_detect.solvers.convex.working_set import Source, WorkingSet
+from track_before_detect.solvers.fit.working_set import Source, WorkingSet
+from track_before_detect.solvers.refine.target_model import TargetModel
 
 # Fewer frames tell too little about a shape.
 LEAST_FRAMES = 8
@@ -55,18 +51,16 @@ class DuplicateSearch:
 
     Parameters
     ----------
-    graph, measurement, times, pixel_weights, presence
-        As of :class:`ExtendedTargetFitter`.
+    targets : TargetModel
+        What is known of the targets.
     paths : WorkingSet
         The solution.
     """
 
-    def __init__(self, graph: StateGraph, measurement: MeasurementModel, times: NDArray,
-                 pixel_weights: NDArray, paths: WorkingSet, presence: Presence | None):
-        self._fitter = ExtendedTargetFitter(graph, measurement, times, pixel_weights, paths.model,
-                                            presence)
+    def __init__(self, targets: TargetModel, paths: WorkingSet):
+        self._fitter = ExtendedTargetFitter(targets)
         self._paths = paths
-        self._width = measurement.width_px
+        self._width = targets.measurement.width_px
 
     def merge(self) -> NDArray[np.float64]:
         """Leave one path for each target, with the amplitudes of t = 0.

@@ -7,9 +7,7 @@ A target that does not look as the PSF says is taken as
 with path, widths and shares c_k fitted to all frames. That explains a target of any round shape.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import math
 
 import numpy as np
@@ -19,11 +17,9 @@ from scipy.optimize import minimize_scalar
 
 from track_before_detect.kernels.psf import psf_stamps as stamp_kernels
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.base import MeasurementModel
-from track_before_detect.models.motion.state_graph import StateGraph
-from track_before_detect.models.presence import Presence
-from track_before_detect.solvers.convex.working_set import PsfStamps, Source, StampRenderer
+from track_before_detect.solvers.fit.working_set import PsfStamps, Source, StampRenderer
 from track_before_detect.solvers.refine.refinement import refiner_for
+from track_before_detect.solvers.refine.target_model import TargetModel
 
 # Widths of a target that are tried, over that of the PSF.
 WIDTHS = (0.5, 3.0)
@@ -66,32 +62,11 @@ class ExtendedTarget:
 
 
 class ExtendedTargetFitter:
-    """Fits one target with a shape of its own.
+    """Fits one target with a shape of its own, which else is like those of a model."""
 
-    Parameters
-    ----------
-    graph : StateGraph
-        Bounds the speed and prices the turns.
-    measurement : MeasurementModel
-        What a target of the PSF looks like.
-    times : array, shape (T,)
-        In the unit of time of the graph.
-    pixel_weights : float32 array, shape (T, H, W), (1, H, W) or (0, 0, 0)
-        One over the noise of each pixel; of no frames where it is one.
-    model : AmplitudeModel
-        Of the amplitudes.
-    presence : Presence or None
-        Cost of being present; None where targets are there in every frame.
-    """
-
-    def __init__(self, graph: StateGraph, measurement: MeasurementModel, times: NDArray,
-                 pixel_weights: NDArray, model: AmplitudeModel, presence: Presence | None):
-        self._graph = graph
-        self._measurement = measurement
-        self._times = times
-        self._weights = pixel_weights
-        self._model = model
-        self._presence = presence
+    def __init__(self, targets: TargetModel):
+        self._targets = targets
+        self._model = targets.amplitudes
 
     def fit(self, frames: NDArray, positions: NDArray, cost: float,
             threshold: float) -> ExtendedTarget:
@@ -111,8 +86,7 @@ class ExtendedTargetFitter:
         model = self._model
         for _ in range(ROUNDS):
             width = self._width(frames, positions)
-            refiner = refiner_for(self._graph, self._measurement.gaussian(width), self._times,
-                                  self._weights, model, self._presence)
+            refiner = refiner_for(self._of_width(width))
             positions, cost = (refiner.refine(frames, positions, cost, threshold, 0.0)
                                or (positions, cost))
         factors = SHAPE if min(frames.shape[1:]) > 1 else SHAPE_ON_A_LINE
@@ -125,6 +99,9 @@ class ExtendedTargetFitter:
                               Source(stamps, envelope, model.best(seen, envelope)),
                               0.5 * model.statistic(seen, envelope)**2)
 
+    def _of_width(self, width_px: float) -> TargetModel:
+        return replace(self._targets, measurement=self._targets.measurement.gaussian(width_px))
+
     def _width(self, frames: NDArray, positions: NDArray) -> float:
         """Return the width of the Gaussian that explains most along a path."""
 
@@ -133,7 +110,7 @@ class ExtendedTargetFitter:
             seen = self._seen(frames, stamps.pictures, stamps.origins)
             return -self._model.statistic(seen, self._model.envelope(stamps.norms))
 
-        ends = [math.log(factor * self._measurement.width_px) for factor in WIDTHS]
+        ends = [math.log(factor * self._targets.measurement.width_px) for factor in WIDTHS]
         return math.exp(minimize_scalar(missed, bounds=ends, method='bounded',
                                         options={'xatol': 0.02}).x)
 
@@ -159,8 +136,8 @@ class ExtendedTargetFitter:
         return parts, origins
 
     def _render(self, frames: NDArray, positions: NDArray, width_px: float) -> PsfStamps:
-        return StampRenderer(self._measurement.gaussian(width_px), frames.shape,
-                             self._weights).render(positions)
+        return StampRenderer(self._of_width(width_px).measurement, frames.shape,
+                             self._targets.pixel_weights).render(positions)
 
 
 def together(seen: NDArray, overlaps: NDArray, model: AmplitudeModel,

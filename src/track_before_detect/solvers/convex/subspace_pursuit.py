@@ -15,8 +15,6 @@ only merge, move and remove what is there: their amplitudes are shrunk less than
 residual shows less than in the stage before, and the last stage has the final word.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -24,7 +22,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.solvers.convex.working_set import FIT_GAP, WorkingSet
+from track_before_detect.solvers.fit.working_set import FIT_GAP, WorkingSet
 from track_before_detect.solvers.refine.refinement import PathRefiner
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
 from track_before_detect.types import Step

@@ -6,8 +6,6 @@ the same terms: it has to pass its weight on what the others leave, and F_t has 
 convex stage converges to is that of a cold start; only the way there is shorter.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

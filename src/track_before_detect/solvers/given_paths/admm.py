@@ -5,8 +5,6 @@ together: x solves one linear system per frame, u is a group shrinkage with the 
 Algorithm 2 whatever the weights, so that no line search is needed (Patent, after Algorithm 2).
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,26 +23,7 @@ def solve(amplitudes: NDArray, matched: NDArray, gram: NDArray, slack: NDArray, 
           most_rounds: int) -> tuple[float, int]:
     """Minimise 1/2 x'Gx - h'x + weight sum_p |x_p| in place; return (gap, rounds made).
 
-    Parameters
-    ----------
-    amplitudes : array, shape (n, D, T)
-        Start and solution.
-    slack : array, shape (n, D, T)
-        Filled with ``matched`` less the fit.
-    matched : array, shape (n, D, T)
-        h.
-    gram : array, shape (n, n, T)
-        G of each frame.
-    weight : float
-        Above zero.
-    non_negative : bool
-        Whether amplitudes must not be negative.
-    energy : float
-        Half the squared norm of the data.
-    gap_wanted : float
-        Duality gap at which to stop.
-    most_rounds : int
-        Rounds at most.
+    Arguments, in place where they are, as of ``solve`` of the kernels ``group_lasso``.
     """
     of_frames = gram.transpose(2, 0, 1)
     identity = np.eye(len(gram))

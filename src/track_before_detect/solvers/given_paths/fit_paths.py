@@ -1,7 +1,5 @@
 """Amplitudes of a given set of paths: the group lasso over all of them, with a certificate."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 

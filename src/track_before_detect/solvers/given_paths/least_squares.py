@@ -1,7 +1,5 @@
 """Amplitudes of given paths without shrinkage (t = 0): least squares, frame by frame."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What ``fit_paths`` is given and what it returns: data, paths and their stamps; amplitudes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

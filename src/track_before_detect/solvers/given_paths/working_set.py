@@ -1,7 +1,5 @@
 """The few of the given paths that have amplitudes, grown until no path is missing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import math
 

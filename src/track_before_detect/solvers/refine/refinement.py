@@ -5,8 +5,6 @@ a ghost, so positions are refined inside the pursuit, those of a target that ent
 together with the frames in which it is there.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cached_property
 import math
@@ -18,11 +16,8 @@ from numpy.typing import NDArray
 from track_before_detect.kernels.fit.constant_modulus import clip_moduli
 from track_before_detect.kernels.psf.gauss_newton import best_amplitudes, maximise_statistic
 from track_before_detect.kernels.psf.measurement import evaluate
-from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.base import MeasurementModel
-from track_before_detect.models.motion.state_graph import StateGraph
-from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.refine.smooth_motions import motions_of, SmoothMotions
+from track_before_detect.solvers.refine.target_model import TargetModel
 
 MOST_STEPS = 8
 # Fall of F_t for which a path is moved: a tenth of the error that noise gives its position.
@@ -58,58 +53,29 @@ class PathRefiner(Protocol):
         """Return the value of a path: what it adds up over the frames less its cost."""
 
 
-def refiner_for(graph: StateGraph, measurement: MeasurementModel, times: NDArray,
-                pixel_weights: NDArray, amplitudes: AmplitudeModel, presence: Presence | None,
-                ) -> PathRefiner:
-    """Return the refiner of targets that are there in every frame, or in some.
-
-    Parameters
-    ----------
-    graph, measurement, times, pixel_weights, amplitudes
-        As of :class:`Refiner`.
-    presence : Presence or None
-        Cost of being present; None where targets are there in every frame.
-    """
-    if presence is None:
-        return Refiner(graph, measurement, times, pixel_weights, amplitudes)
-    return PartialRefiner(graph, measurement, times, pixel_weights, amplitudes, presence)
+def refiner_for(targets: TargetModel) -> PathRefiner:
+    """Return the refiner of targets that are there in every frame, or in some."""
+    return Refiner(targets) if targets.presence is None else PartialRefiner(targets)
 
 
 class Refiner:
-    """Moves one path that is there in every frame to the positions where it explains most.
+    """Moves one path that is there in every frame to the positions where it explains most."""
 
-    Parameters
-    ----------
-    graph : StateGraph
-        Bounds the speed and prices the turns.
-    measurement : MeasurementModel
-        What a target looks like.
-    times : array, shape (T,)
-        In the unit of time of the graph.
-    pixel_weights : float32 array, shape (T, H, W), (1, H, W) or (0, 0, 0)
-        One over the noise of each pixel; of no frames where it is one.
-    amplitudes : AmplitudeModel
-        What amplitudes may be.
-    """
-
-    def __init__(self, graph: StateGraph, measurement: MeasurementModel, times: NDArray,
-                 pixel_weights: NDArray, amplitudes: AmplitudeModel):
-        self._graph = graph
-        self._measurement = measurement
-        self._compiled = measurement.compiled(with_curvature=True)
-        self._times = times
-        self._weights = np.asarray(pixel_weights, np.float32)
-        self._model = amplitudes
+    def __init__(self, targets: TargetModel):
+        self._targets = targets
+        self._compiled = targets.measurement.compiled(with_curvature=True)
+        self._weights = np.asarray(targets.pixel_weights, np.float32)
+        self._model = targets.amplitudes
 
     @cached_property
     def _motions(self) -> SmoothMotions:
-        return motions_of(self._graph, self._times)
+        return motions_of(self._targets.graph, self._targets.times)
 
     def refine(self, frames: NDArray, positions: NDArray, cost: float, threshold: float,
                t_convex: float) -> tuple[NDArray, float] | None:
         """Return better positions and their cost, see :meth:`PathRefiner.refine`."""
         frames = _read_only(frames)
-        limits = self._measurement.limits(frames.shape[1:])
+        limits = self._targets.measurement.limits(frames.shape[1:])
         squared = float(self.gains(frames, positions).sum())
         price = cost * self.cost_scale(frames, positions)
         least = self._fall(frames, positions, squared, price, threshold, t_convex) + LEAST_GAIN
@@ -149,7 +115,7 @@ class Refiner:
         Both are zero where it may not, beyond the borders, or where its frame does not show it;
         all other n are one where all pixels weigh the same. Each of shape (T,).
         """
-        limits = self._measurement.limits(frames.shape[1:])
+        limits = self._targets.measurement.limits(frames.shape[1:])
         inside = np.all((positions >= 0) & (positions <= limits), axis=1)
         seen, norms = self._evaluate(frames, positions)
         return np.where(inside, seen[:, 0], 0.0), np.where(inside, norms, 0.0), inside
@@ -185,24 +151,14 @@ class Refiner:
 
 
 class PartialRefiner:
-    """Moves one path to the positions and frames where it explains most.
+    """Moves one path to the positions and frames where it explains most."""
 
-    Parameters
-    ----------
-    graph, measurement, times, pixel_weights, amplitudes
-        As of :class:`Refiner`.
-    presence : Presence
-        Cost of being present.
-    """
-
-    def __init__(self, graph: StateGraph, measurement: MeasurementModel, times: NDArray,
-                 pixel_weights: NDArray, amplitudes: AmplitudeModel, presence: Presence):
-        self._graph = graph
-        self._measurement = measurement
-        self._times = times
-        self._weights = np.asarray(pixel_weights, np.float32)
-        self._model = amplitudes
-        self._presence = presence
+    def __init__(self, targets: TargetModel):
+        assert targets.presence is not None
+        self._targets = targets
+        self._times = targets.times
+        self._model = targets.amplitudes
+        self._presence = targets.presence
         self._refiners: dict[tuple[int, int], Refiner] = {}
 
     def refine(self, frames: NDArray, positions: NDArray, cost: float, threshold: float,
@@ -283,13 +239,10 @@ class PartialRefiner:
     def _refiner(self, first: int, last: int) -> Refiner:
         """Return the refiner for paths in these frames alone."""
         if (first, last) not in self._refiners:
-            inside = slice(first, last + 1)
-            # One row of weights may serve all frames.
-            weights = self._weights[inside] if len(self._weights) > 1 else self._weights
-            graph = replace(self._graph.slice(inside),
-                            turn_cost=self._graph.turn_cost * self._stretch(first, last))
-            self._refiners[first, last] = Refiner(
-                graph, self._measurement.slice(inside), self._times[inside], weights, self._model)
+            inside = self._targets.slice(slice(first, last + 1))
+            graph = replace(inside.graph,
+                            turn_cost=inside.graph.turn_cost * self._stretch(first, last))
+            self._refiners[first, last] = Refiner(replace(inside, graph=graph))
         return self._refiners[first, last]
 
     def _carried_on(self, part: NDArray, first: int, last: int) -> NDArray[np.float64]:

@@ -4,8 +4,6 @@ A motion is a polynomial in time or the present path with a displacement; the sm
 explains the frames wins, since each further degree costs as much as the turns it replaces.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 

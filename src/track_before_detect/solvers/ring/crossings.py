@@ -1,7 +1,5 @@
 """Which trajectory is which after two met (Fu et al. 2022, Algorithm 2, Step 5)."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import itertools
 

@@ -11,11 +11,8 @@ Both take *observations*, one value for each pixel and frame that a target raise
 the paper are points, one pixel wide, so there the frames are the observations. A target that the
 point spread function spreads over several pixels is seen best in the matched filter statistic,
 which has the noise of one pixel and the whole of the target; sums of raw pixels would leave most
-of it aside. So the detectors ``cfo_dp`` to ``mff_dpr`` accumulate that statistic, and
-:func:`several_targets` does where it is told how to compute it.
+of it aside. So the detectors ``cfo_dp`` to ``mff_dpr`` accumulate that statistic.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 import dataclasses
@@ -31,6 +28,8 @@ from track_before_detect.solvers.ring.linking import best_trajectory, LinkedTraj
 from track_before_detect.solvers.ring.merit_functions import merit_functions
 
 Observe = Callable[[NDArray], NDArray]
+# Around a found point target, as in the paper, see :func:`fill`.
+FILLED_POINT_PX = 1
 
 
 def single_target(observations: NDArray, method: str, v_max: int,
@@ -39,42 +38,24 @@ def single_target(observations: NDArray, method: str, v_max: int,
 
     Parameters
     ----------
-    observations : array, shape (T, H, W)
-        Values that a target raises.
-    method : str
-        ``"cfo_dp"``, ``"cso_dp"``, ``"mff_dp"`` or the ring form, ``"cfo_dpr"`` and so on.
-    v_max : int
-        Largest velocity in pixels per frame.
-    n_threads : int
-        Threads that share the rows of the frames.
+    observations, method, v_max, n_threads
+        As of :func:`merit_functions`.
     """
     merit = merit_functions(observations, method, v_max, n_threads)
     flat = merit.reshape(len(merit), -1).argmax(axis=1)
     return np.stack([flat % merit.shape[2], flat // merit.shape[2]], axis=1)
 
 
-def several_targets(frames: NDArray, method: str, v_max: int, n_targets: int, *,
-                    observe: Observe | None = None, fill_radius: int = 1,
-                    n_threads: int = 1) -> list[LinkedTrajectory]:
-    """Return the trajectories of a known number of targets (Algorithm 2).
+def several_targets(frames: NDArray, method: str, v_max: int,
+                    n_targets: int) -> list[LinkedTrajectory]:
+    """Return the trajectories of a known number of point targets (Algorithm 2).
 
     Parameters
     ----------
-    frames : array, shape (T, H, W)
-        Pixels.
-    method : str
-        As in :func:`single_target`.
-    v_max : int
-        Largest velocity in pixels per frame.
+    frames, method, v_max
+        As of :func:`single_target`.
     n_targets : int
         Rounds that are made, each with at most one trajectory.
-    observe : callable, optional
-        Returns the observations (T, H, W) of frames; the frames themselves unless given.
-    fill_radius : int
-        Pixels around a found trajectory that are filled with their median before the next round:
-        1 for the point targets of the paper.
-    n_threads : int
-        Threads that share the rows of the frames.
 
     Returns
     -------
@@ -84,7 +65,7 @@ def several_targets(frames: NDArray, method: str, v_max: int, n_targets: int, *,
     """
     if n_targets < 1:
         raise ParameterError(f'n_targets must be at least 1, got {n_targets}')
-    rounds = found_one_by_one(frames, method, v_max, observe or np.asarray, fill_radius, n_threads)
+    rounds = found_one_by_one(frames, method, v_max, np.asarray, FILLED_POINT_PX)
     found = [trajectory for trajectory, _ in itertools.islice(rounds, n_targets)]
     regular = with_crossings_resolved([trajectory.positions for trajectory in found])
     return [dataclasses.replace(trajectory, positions=positions)
@@ -96,7 +77,15 @@ def found_one_by_one(frames: NDArray, method: str, v_max: int, observe: Observe,
     """Go through the rounds of Algorithm 2 (Steps 1-4) for as long as they find anything new.
 
     A round that takes nothing out of the frames is the last: the next would find the same.
-    Parameters as in :func:`several_targets`; masked pixels are NaN.
+
+    Parameters
+    ----------
+    frames, method, v_max, n_threads
+        As of :func:`single_target`; masked pixels are NaN.
+    observe : callable
+        Returns the observations (T, H, W) of what is left of the frames.
+    fill_radius : int
+        See :func:`fill`.
 
     Yields
     ------

@@ -1,7 +1,5 @@
 """From one coordinate in each frame to one trajectory (Fu et al. 2022, Algorithm 2, Step 3)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import math
 

@@ -6,8 +6,6 @@ until one finds no trajectory whose statistic passes the threshold. That statist
 what is accumulated along the trajectory, over the root of the number of frames.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 import itertools
 import math

@@ -22,8 +22,6 @@ both directions. Algorithm 1 counts its steps to 2 N, so the forward pass is not
 its fourth frame (beyond its first for the first order).
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
@@ -121,8 +119,8 @@ class _Passes(ABC):
     memory: int
     again: int
 
-    def __init__(self, frames: NDArray, v_max: int, n_threads: int):
-        self.frames = frames
+    def __init__(self, frames: NDArray, order: str, v_max: int, n_threads: int):
+        self.frames, self._order, self._v_max = frames, order, v_max
         n_y = frames.shape[1]
         self._n_bands = max(1, min(n_threads, n_y // max(1, 8 * v_max)))
         self.block = MOST_FRAMES_IN_BLOCK
@@ -173,10 +171,6 @@ class _FirstOrder(_Passes):
     memory = 1
     again = 0
 
-    def __init__(self, frames: NDArray, order: str, v_max: int, n_threads: int):
-        super().__init__(frames, v_max, n_threads)
-        self._v_max = v_max
-
     def run(self, merit: NDArray, start: int, stop: int, step: int, *then: Work) -> None:
         def work(first: int, n_steps: int, low: int, high: int) -> None:
             first_order.accumulate(merit, self.frames, first, n_steps, step, self._v_max, low,
@@ -192,8 +186,7 @@ class _SecondOrder(_Passes):
     again = 2
 
     def __init__(self, frames: NDArray, order: str, v_max: int, n_threads: int):
-        super().__init__(frames, v_max, n_threads)
-        self._order = order
+        super().__init__(frames, order, v_max, n_threads)
         # The states hold velocities of forward time; passed through backward, the same candidates
         # in the same order have the opposite ones.
         self._candidates = {

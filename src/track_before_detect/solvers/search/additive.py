@@ -1,7 +1,5 @@
 """Largest sum over the frames of a path, less its costs: one search for each sign."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

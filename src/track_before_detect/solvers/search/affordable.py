@@ -1,7 +1,5 @@
 """Whether the search of a state graph fits into memory and time."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_before_detect.models.measurement.base import grid_shape, MeasurementModel

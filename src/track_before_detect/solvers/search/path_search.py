@@ -10,8 +10,6 @@ A search is made of three parts: scores say what a position adds, a table holds 
 every state, and a functional says what is to be largest of a path.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 import itertools

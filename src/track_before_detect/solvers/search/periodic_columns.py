@@ -17,8 +17,6 @@ plane; it is followed where that bound allows its apparent acceleration, speed^2
 bins.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 import math

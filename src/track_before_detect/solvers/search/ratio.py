@@ -14,8 +14,6 @@ to look at is where the bound is largest. It ends when no bound is left above ze
 two to six searches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 import itertools
@@ -48,10 +46,8 @@ class Ratio:
 
     Parameters
     ----------
-    scores : Scores
-        What a position adds.
-    tables : sequence of (int, ViterbiTable)
-        One for each sign of the amplitudes, by which the scores are multiplied.
+    scores, tables
+        As of :class:`Additive`.
     presence : Presence, optional
         Cost of being present; without it a path lasts from the first frame to the last.
     """

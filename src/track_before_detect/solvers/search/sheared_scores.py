@@ -1,7 +1,5 @@
 """Scores on the plane in which a target of constant Doppler stands still; see ``coupling``."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

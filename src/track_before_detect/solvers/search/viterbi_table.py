@@ -4,8 +4,6 @@ The frames of one batch are searched several times, each time with a little more
 Only the states whose paths meet a change, and may pass the threshold, are then computed anew.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -316,9 +314,10 @@ def _motion(graph: StateGraph, kinds: NDArray, presence: Presence | None,
     return viterbi_backtrack.Motion(
         np.asarray(graph.knots, np.int64), np.asarray(graph.moves, np.int64),
         np.asarray(graph.end_moves, np.int64), np.asarray(kinds, np.int64),
-        slots=(rows + reach) * velocity_at.shape[1] + columns + reach,
-        velocity_at=velocity_at.ravel(), columns=velocity_at.shape[1], reach=reach,
-        cost=np.float32(graph.turn_cost), entry=np.float32(entry), leaving=np.float32(leaving))
+        viterbi.Turns((rows + reach) * velocity_at.shape[1] + columns + reach,
+                      velocity_at.ravel(), velocity_at.shape[1], reach,
+                      np.float32(graph.turn_cost)),
+        np.float32(entry), np.float32(leaving))
 
 
 def _segment(graph: StateGraph, j: int, layout: viterbi.Layout,
@@ -332,8 +331,7 @@ def _segment(graph: StateGraph, j: int, layout: viterbi.Layout,
         rows=np.ascontiguousarray(y), first_y=np.maximum(0, -y.min(axis=1)),
         last_y=layout.n_y - np.maximum(0, y.max(axis=1)),
         arrival=motion.end_moves[j - 1] if j else np.empty((0, 2), np.int64),
-        slots=motion.slots, velocity_at=motion.velocity_at, columns=motion.columns,
-        reach=motion.reach, cost=motion.cost)
+        turns=motion.turns)
 
 
 def _end_costs(presence: Presence | None, last: bool) -> viterbi.EndCosts | None:

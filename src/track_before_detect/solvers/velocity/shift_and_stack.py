@@ -7,8 +7,6 @@ application 18/790,866, paragraph 18). A position is that in the middle of the b
 motion outside the frame add nothing to either sum.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -69,7 +67,7 @@ class VelocityStack:
         def search(first: int, last: int) -> None:
             velocity_stack.best_velocities(
                 self.best, self.number, psi, phi, grid.moves, grid.first_vx, grid.last_vx,
-                self.reach, *grid.plan.arrays, self._least, self._signed, first, last, left,
+                self.reach, *grid.plan, self._least, self._signed, first, last, left,
                 right)
 
         n_bands = min(self._n_threads, max(1, (bottom - top) // 8))

@@ -11,9 +11,9 @@ A target keeps its amplitude and velocity over the batch; it may enter and leave
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 import logging
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +66,7 @@ APART_WIDTHS = 5.0
 SAME_WIDTHS = 1.5
 
 
-@dataclass(frozen=True)
-class _Line:
+class _Line(NamedTuple):
     """A target on a straight line.
 
     Attributes

@@ -1,7 +1,5 @@
 """Bright targets: position error over the Cramér-Rao bound, amplitude, second trajectories."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import functools
 from typing import Any
@@ -106,8 +104,7 @@ def _draw(figure: Any, curves: Mapping[float, NDArray]) -> None:
         axes.semilogy(cramer_rao(snr), '--', color=colour, linewidth=1)
     axes.semilogy([], [], '--', color=GREY, label='Cramér-Rao bound')
     axes.set_xticks(range(0, N_FRAMES, 5))
-    axes.set_xlabel('frame')
-    axes.set_ylabel('RMSE of one coordinate [px]')
+    axes.set(xlabel='frame', ylabel='RMSE of one coordinate [px]')
     axes.grid(alpha=0.3, which='both')
     tidy([axes], grid=False)
     figure.legend(loc='outside right upper', frameon=False)

@@ -1,9 +1,7 @@
 """What the report of the suite ``compare`` says of its numbers."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,8 +14,7 @@ MARGIN = 0.02 + 1e-9
 ROC_RATES = (0.01, 0.05, 0.2)
 
 
-@dataclass(frozen=True)
-class Standing:
+class Standing(NamedTuple):
     """How the convex detector stands to the best other method in a scene.
 
     Attributes

@@ -1,7 +1,5 @@
 """Pictures of the suite ``compare``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -78,9 +76,7 @@ def draw_roc(figure: Any, curves: Mapping[str, Roc], rate: float, ours: str) -> 
     axes.axvline(100 * rate, color=GREY, linewidth=0.8, linestyle=':')
     axes.set_xscale('log')
     axes.xaxis.set_major_formatter('{x:g}')
-    axes.set_xlim(lowest, 100)
-    axes.set_ylim(0, 100)
-    axes.set_xlabel('noise batches with a trajectory [%]')
-    axes.set_ylabel('targets found [%]')
+    axes.set(xlim=(lowest, 100), ylim=(0, 100), xlabel='noise batches with a trajectory [%]',
+             ylabel='targets found [%]')
     tidy([axes])
     figure.legend(loc='outside right upper', frameon=False, fontsize='small')

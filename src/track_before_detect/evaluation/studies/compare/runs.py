@@ -3,8 +3,6 @@
 White noise of standard deviation 1 and unit-norm Gaussian stamps of 1 px, so SNR is the amplitude.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 ``rng`` places and directs the targets. A target has the same amplitude in all frames it is in.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Every detector on the same scenes, at equal false alarms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 import functools
 import itertools

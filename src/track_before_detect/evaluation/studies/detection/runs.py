@@ -1,7 +1,5 @@
 """Single runs of the suite ``detection``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import functools
 import json
@@ -13,7 +11,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.evaluation.metrics.matching import match_trajectories
 from track_before_detect.options import DetectorOptions
-from track_before_detect.simulation.scenarios import Scenario, simulate, SimulatedRecording
+from track_before_detect.simulation.scenarios import Scenario, simulate
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.types import FrameBatch
 
@@ -41,7 +39,7 @@ def measure(item: Mapping[str, Any]) -> dict[str, Any]:
     made = simulate(item['scenario'], item['seed'], **overrides)
     pipeline.reset()
     wall, cpu = time.perf_counter(), time.process_time()
-    result = pipeline.process(_batch(made))
+    result = pipeline.process(FrameBatch.of(made.frames, made.stamps))
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
     targets = made.truth[:, 2:].reshape(-1, len(made.frames), 2)
     matching = match_trajectories(
@@ -77,9 +75,5 @@ def _warm_pipeline(name: str, overrides: str, threshold: float) -> TrackingPipel
     pipeline = TrackingPipeline(options_for(made.scenario).replace(threshold=threshold))
     pipeline.warm_up(made.frames.shape[1:], 1 / made.scenario.fps, len(made.frames))
     # The first batch of a size also makes room for the tables of the search.
-    pipeline.process(_batch(made))
+    pipeline.process(FrameBatch.of(made.frames, made.stamps))
     return pipeline
-
-
-def _batch(made: SimulatedRecording) -> FrameBatch:
-    return FrameBatch(made.frames, made.stamps, np.arange(len(made.frames)))

@@ -1,7 +1,5 @@
 """How reliably, accurately and quickly the detector finds dim targets, and how rarely noise."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 
@@ -123,8 +121,7 @@ def _draw(figure: Any, with_targets: Runs, noise: Runs) -> None:
     mean_errors = np.concatenate(
         [np.nanmean(distances, axis=1) for distances in _distances(with_targets)] or [[]])
     errors.hist(mean_errors, np.linspace(0, FOUND_PX, 31), color=BLUE)
-    errors.set_xlabel('mean position error of a found target [px]')
-    errors.set_ylabel('targets')
+    errors.set(xlabel='mean position error of a found target [px]', ylabel='targets')
     n_targets = sum(run['n_targets'] for run in with_targets)
     errors.set_title(f'{len(mean_errors)} of {n_targets} targets found')
 
@@ -140,9 +137,8 @@ def _draw(figure: Any, with_targets: Runs, noise: Runs) -> None:
     threshold = noise[0]['threshold']
     statistics.axvline(threshold, color='black', linewidth=1.2,
                        label=f'threshold {threshold:.2f}')
-    statistics.set_xlabel('statistic of a trajectory')
-    statistics.set_ylabel('density')
-    statistics.set_title(f'{_alarms(noise)} of {len(noise)} batches of noise pass the threshold')
+    statistics.set(xlabel='statistic of a trajectory', ylabel='density',
+                   title=f'{_alarms(noise)} of {len(noise)} batches of noise pass the threshold')
     statistics.legend()
     tidy((errors, statistics), grid=False)
 

@@ -5,8 +5,6 @@ line is off its neighbour by at most half a pixel at the ends. No code is shared
 detectors.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Single runs of the suite ``dim``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import functools
 from typing import Any

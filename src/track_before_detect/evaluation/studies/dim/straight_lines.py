@@ -1,7 +1,5 @@
 """The largest sum along any straight line through a batch: an exhaustive search."""
 
-from __future__ import annotations
-
 from numba import njit
 import numpy as np
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Dim targets, by the convex detector and by an exhaustive search over straight lines."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import functools
 import itertools
@@ -116,8 +114,7 @@ def _draw(figure: Any, rows: Sequence[Mapping[str, Any]],
         axes.errorbar(at, 100 * shares, fmt='none', ecolor='black',
                       yerr=100 * np.abs(ends.T - shares), elinewidth=0.9, capsize=2)
     axes.set_xticks(places, [f'{motion}\nSNR {snr:g}' for motion, snr in cases])
-    axes.set_ylim(0, 105)
-    axes.set_ylabel(f'targets found at {100 * RATE:g} % false alarms [%]')
+    axes.set(ylim=(0, 105), ylabel=f'targets found at {100 * RATE:g} % false alarms [%]')
     tidy([axes], grid=False)
     legend_above(figure, 2)
 

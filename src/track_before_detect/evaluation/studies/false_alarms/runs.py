@@ -1,7 +1,5 @@
 """Single runs of the suite ``false-alarms``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Batches of noise: how many hold a trajectory beside the rate that was asked for."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import functools
 from typing import Any
@@ -58,10 +56,8 @@ def _draw(figure: Any, rows: Sequence[Mapping[str, Any]]) -> None:
     axes.plot(line, line, color=GREY, linewidth=1)
     axes.fill_between(line, line / 1.5, line * 1.5, color=GREY, alpha=0.2,
                       label='within a factor of 1.5')
-    axes.set_xscale('log')
-    axes.set_yscale('log')
-    axes.set_xlabel('false alarm rate requested')
-    axes.set_ylabel('share of batches with a trajectory')
+    axes.set(xscale='log', yscale='log', xlabel='false alarm rate requested',
+             ylabel='share of batches with a trajectory')
     tidy([axes], grid=False)
     axes.legend(frameon=False)
 

@@ -1,7 +1,5 @@
 """Single runs of the suite ``parallel`` (Guo et al. 2018, Section 4)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import functools
 from typing import Any

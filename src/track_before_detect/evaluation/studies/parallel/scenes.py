@@ -6,8 +6,6 @@ one second apart. The state of a target is (x, its velocity, y, its velocity) in
 per second.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

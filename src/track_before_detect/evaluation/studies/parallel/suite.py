@@ -1,7 +1,5 @@
 """The experiments of Guo et al. 2018: Figures 9 and 10, and the cost ratio of Eq. 18."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 import functools
 from typing import Any

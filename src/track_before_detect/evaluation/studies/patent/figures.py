@@ -1,10 +1,7 @@
 """Figures 2-7 of US application 18/790,866, and what a run of each may show."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,8 +24,7 @@ ROUGH_PX = 2 * scenes.SIGMA_PX
 Shows = Callable[[Scene, NDArray], bool]
 
 
-@dataclass(frozen=True)
-class Criterion:
+class Criterion(NamedTuple):
     """What a run may show.
 
     Attributes
@@ -43,11 +39,10 @@ class Criterion:
 
     label: str
     met: Shows
-    goals: Mapping[str, str] = field(default_factory=dict)
+    goals: Mapping[str, str] = {}
 
 
-@dataclass(frozen=True)
-class Figure:
+class Figure(NamedTuple):
     """One figure.
 
     Attributes

@@ -1,7 +1,5 @@
 """Pictures of the suite ``patent``: six panels per figure, and the shares of all methods."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 
@@ -55,9 +53,8 @@ def draw_shares(canvas: Any, shares: Mapping[str, Mapping[str, Quantity]]) -> No
         axes.errorbar(share, at, xerr=[np.maximum(share - low, 0), np.maximum(high - share, 0)],
                       fmt='none', ecolor='black', elinewidth=0.8)
     axes.set_yticks(np.arange(len(shares)), list(shares))
-    axes.set_ylim(len(shares) - 0.5, -0.5)
-    axes.set_xlim(0, 100)
-    axes.set_xlabel('share of scenes [%], with 95 % intervals')
+    axes.set(ylim=(len(shares) - 0.5, -0.5), xlim=(0, 100),
+             xlabel='share of scenes [%], with 95 % intervals')
     pictures.tidy([axes], grid=False)
     pictures.legend_above(canvas, len(methods))
 

@@ -1,7 +1,5 @@
 """Single runs of the suite ``patent``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import functools
 import json

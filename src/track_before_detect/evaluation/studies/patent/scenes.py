@@ -4,11 +4,9 @@ One-dimensional frames, targets blurred by a Gaussian and white noise of unit va
 text leaves a number open it is chosen here, once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
-from dataclasses import dataclass
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -38,8 +36,7 @@ CROSSING_SNRS = (3.0, 2.0)
 CROSSING_PX = 0.5
 
 
-@dataclass(frozen=True)
-class Scene:
+class Scene(NamedTuple):
     """Targets on a line and what a sensor makes of them.
 
     Attributes

@@ -1,7 +1,5 @@
 """Figures 2-7 of US application 18/790,866 by the convex method, its continuation and greedy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 import functools
 from typing import Any

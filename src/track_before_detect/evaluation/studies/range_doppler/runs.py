@@ -1,7 +1,5 @@
 """Single runs of the suite ``range-doppler``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Range-Doppler maps: the SNR at which a target is found with the coupling, and without."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import functools
 from typing import Any
@@ -112,9 +110,7 @@ def _draw(figure: Any, snrs: Mapping[str, NDArray]) -> None:
         ordered = np.sort(20 * np.log10(values))
         axes.step(ordered, (1 + np.arange(len(ordered))) / len(ordered), where='post',
                   color=_COLOURS[motion], label=motion)
-    axes.set_xlabel('SNR in one dwell [dB]')
-    axes.set_ylabel('share of targets found')
-    axes.set_ylim(0, 1.02)
+    axes.set(xlabel='SNR in one dwell [dB]', ylabel='share of targets found', ylim=(0, 1.02))
     axes.legend()
     tidy([axes], grid=False)
 

@@ -1,7 +1,5 @@
 """Real scenes with noise added until their targets are as dim as asked for."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

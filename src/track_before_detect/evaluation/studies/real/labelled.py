@@ -1,12 +1,10 @@
 """Recordings with known targets, in the layouts in which they are published."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import csv
-from dataclasses import dataclass
 import functools
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +23,7 @@ BOX_COLUMNS = ('frame', 'id', 'x_px', 'y_px', 'width_px', 'height_px')
 _NUDT_DIM = (47, 56, 59, 76, 92, 101, 105, 119)
 
 
-@dataclass(frozen=True)
-class LabelledRecording:
+class LabelledRecording(NamedTuple):
     """A recording whose targets are known.
 
     Attributes
@@ -41,8 +38,7 @@ class LabelledRecording:
     truth: Truth
 
 
-@dataclass(frozen=True)
-class Source:
+class Source(NamedTuple):
     """Where a recording with truth is.
 
     Attributes

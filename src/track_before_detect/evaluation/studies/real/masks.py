@@ -1,7 +1,5 @@
 """Truth that is given as one image for each frame, not 0 where a target is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How well trajectories follow the targets of a recording, and what else they follow."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The methods that are compared on real recordings, by name."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

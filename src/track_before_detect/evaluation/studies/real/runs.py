@@ -4,8 +4,6 @@ As a program it makes the run that it reads from its input, so that a run that h
 ended.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 import dataclasses
 import json

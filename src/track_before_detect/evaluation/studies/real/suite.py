@@ -1,7 +1,5 @@
 """How methods do on real recordings, as they are and with noise added."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 import math
@@ -184,13 +182,11 @@ def _draw(figure: Any, levels: Mapping[tuple[str, float | None], Sequence[Row]])
                     if snr is not None}
         over_snr.plot(list(degraded), [100 * values.mean() for values in degraded.values()],
                       label=method, **look)
-    single.set_xlim(-3, 103)
-    single.set_xlabel('frames followed, recording as it is [%]')
+    single.set(xlim=(-3, 103), xlabel='frames followed, recording as it is [%]')
     single.invert_yaxis()
     single.tick_params(axis='y', labelsize=7)
-    over_snr.set_ylim(-3, 103)
-    over_snr.set_xlabel('single-frame SNR after noise is added')
-    over_snr.set_ylabel('frames followed, mean over recordings [%]')
+    over_snr.set(ylim=(-3, 103), xlabel='single-frame SNR after noise is added',
+                 ylabel='frames followed, mean over recordings [%]')
     single.legend()
     tidy((single, over_snr), grid=False)
 

@@ -1,7 +1,5 @@
 """What is to be seen in public recordings and has no label, listed by hand."""
 
-from __future__ import annotations
-
 from track_before_detect.evaluation.studies.real.truth import Other
 
 # Looked at frame by frame. Listed are birds and aircraft; not what belongs to the scene and is

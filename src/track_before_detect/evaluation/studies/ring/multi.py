@@ -1,7 +1,5 @@
 """Two and three targets by the six methods of Fu et al. 2022: Figures 9 and 10 and Table 2."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 

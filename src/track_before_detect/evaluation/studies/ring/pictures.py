@@ -3,8 +3,6 @@
 ``means`` and ``half_widths`` are by method, shape (C, L, S), with L = 1 for several targets.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -6,8 +6,6 @@ frames of the point at which the first order does best: what is accumulated, ove
 transitions, and what counts as detected.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 

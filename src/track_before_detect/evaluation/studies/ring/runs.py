@@ -1,7 +1,5 @@
 """Single runs of the suites ``ring-single`` and ``ring-multi`` (Fu et al. 2022, Section 4)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

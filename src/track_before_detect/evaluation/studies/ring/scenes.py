@@ -4,8 +4,6 @@ What the text leaves open is chosen here, once: where an arc begins, which way r
 which targets the cases of Figure 7 have.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the suites ``ring-single`` and ``ring-multi`` share: shares by method, and times."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 

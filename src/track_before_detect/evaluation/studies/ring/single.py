@@ -1,7 +1,5 @@
 """Single targets by the six methods of Fu et al. 2022: Figure 6 and Table 1."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 

@@ -1,7 +1,5 @@
 """OpenCV's background subtraction MOG2, its regions tracked by norfair."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,14 +1,12 @@
 """The peers by name."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import importlib
 import importlib.util
 
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError, suggestion
+from track_before_detect.errors import named
 from track_before_detect.tracking.recording import FrameSequence
 
 Peer = Callable[[FrameSequence], list[NDArray]]
@@ -29,7 +27,5 @@ def peers_installed() -> list[str]:
 
 def peer_named(name: str) -> Peer:
     """Return what is told the frames of a recording and returns positions (T, 2) of tracks."""
-    if name not in _PEERS:
-        raise ParameterError(f'unknown peer {name!r}; {suggestion(name, _PEERS)}')
-    module = importlib.import_module(f'{__package__}.{_PEERS[name][0]}')
+    module = importlib.import_module(f'{__package__}.{named("peer", name, _PEERS)[0]}')
     return module.find_tracks

@@ -1,7 +1,5 @@
 """trackpy, as its walkthrough has it: locate, link, drop what is short."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

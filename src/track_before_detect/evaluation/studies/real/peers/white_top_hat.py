@@ -1,7 +1,5 @@
 """White top-hat of each frame over a threshold, linked by trackpy."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Amplitudes of a few paths that overlap, at any t and for any amplitude model."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -9,7 +7,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.fit import constant_modulus, group_lasso, least_squares
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.solvers.convex import bounded_moduli
+from track_before_detect.solvers.fit import bounded_moduli
 
 MOST_ROUNDS = 200
 # Sweeps over amplitudes of constant modulus: at t = 1 another method takes over from there.

@@ -5,8 +5,6 @@ their stamps. With those numbers and the matched filter of the data along each p
 needs no pixels (Patent Eq. 6-8).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -22,7 +20,7 @@ from track_before_detect.kernels.psf import psf_stamps as stamp_kernels
 from track_before_detect.kernels.psf.measurement import render_path, whole_norm
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.base import MeasurementModel
-from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes, objective
+from track_before_detect.solvers.fit.amplitude_fit import fit_amplitudes, objective
 
 # Duality gap, in units of F_t, to which amplitudes are fitted: F_t is compared to 1e-3.
 FIT_GAP = 1e-4

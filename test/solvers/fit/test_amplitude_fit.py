@@ -8,7 +8,7 @@ import naive
 from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, SIGNED
 from track_before_detect.kernels.fit import group_lasso
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
-from track_before_detect.solvers.convex.amplitude_fit import fit_amplitudes, objective
+from track_before_detect.solvers.fit.amplitude_fit import fit_amplitudes, objective
 
 
 def problem(seed, n_paths=6, n_frames=4, spread=0.3, sigma=2.0, amplitude=9.0, masked=False):

@@ -8,8 +8,6 @@ overlap. Frames meet in the bounds s alone, so each step solves one small system
 one of as many unknowns as there are paths.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -34,16 +32,8 @@ def solve(matched: NDArray, gram: NDArray, envelopes: NDArray, penalties: NDArra
 
     Parameters
     ----------
-    matched : complex array, shape (P, T)
-        h.
-    gram : array, shape (P, P, T)
-        G in each frame.
-    envelopes : array, shape (P, T)
-        c, zero in frames that show nothing of a path.
-    penalties : array, shape (P,)
-        w, above zero.
-    energy : float
-        Half the squared norm of the data.
+    matched, gram, envelopes, penalties, energy
+        As of ``fit_amplitudes``: h, G, c (zero in frames that show nothing of a path), w > 0.
     gap_wanted : float
         Duality gap to reach.
 
