@@ -65,8 +65,7 @@ class ClutterDetector(PathDetector):
 
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
-        refiner = refiner_for(task.graph, task.measurement, task.times, task.weights, self.model,
-                              None)
+        refiner = refiner_for(task.targets)
         frames, rate = task.paths.frames.copy(), self.options.false_alarm_rate
         found: list[FoundTrajectory] = []
         rejected: list[FoundTrajectory] = []
@@ -127,16 +126,11 @@ class ClutterDetector(PathDetector):
     def _trajectory(self, task: Task, path: FoundPath, level: float,
                     reason: str = '') -> FoundTrajectory:
         paths = task.paths
-        paths.add(path.positions, path.cost)
-        added = len(paths) - 1
-        seen = paths.seen(added)
+        added = paths.add(path.positions, path.cost)
         paths.assign(np.array([added]), paths.best(added)[None])
-        visible = paths.visible(added)
-        amplitudes = np.array(paths.target_amplitudes(added))
-        statistic = self.scale.statistic(path.value, len(seen)) / level
+        found = self.trajectory(paths, added, path.value)
         paths.remove(np.array([added]))
-        return FoundTrajectory(path.positions, amplitudes, statistic,
-                               self.model.snr(seen[visible]), reason)
+        return replace(found, statistic=found.statistic / level, reason=reason)
 
     def _reason(self, task: Task, trajectory: FoundTrajectory) -> str:
         """Return why a trajectory above the threshold is no target, or nothing."""
