@@ -135,6 +135,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         n_searched += 1
         result = pipeline.process(batch, progress)
         joined.add(result.trajectories)
+        remarks += result.remarks
         history += result.history
         threshold = max(threshold, result.threshold)
         gap = float(np.fmax(gap, result.gap))

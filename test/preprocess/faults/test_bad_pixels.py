@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from track_before_detect.preprocess.bad_pixels import bad_pixels
+from track_before_detect.preprocess.faults.bad_pixels import bad_pixels
 
 
 def noise(seed=1, shape=(20, 48, 64), level=8000.0, deviation=25.0):
@@ -20,8 +20,8 @@ def test_lines_of_telemetry_are_masked_and_named(where, words):
     found = bad_pixels(frames)
     expected = np.zeros((20, 48, 64), bool)
     expected[where] = True
-    np.testing.assert_array_equal(found.mask, expected[0])
-    assert len(found.remarks) == 1 and words in found.remarks[0]
+    np.testing.assert_array_equal(found.mask, expected)
+    assert [words in remark for remark in found.remarks.values()] == [True]
 
 
 def test_hot_and_dead_pixels_are_masked():
@@ -29,9 +29,10 @@ def test_hot_and_dead_pixels_are_masked():
     frames[:, 10, 20] += 900
     frames[:, 30, 40] = 8000
     found = bad_pixels(frames)
-    assert sorted(zip(*np.nonzero(found.mask), strict=True)) == [(10, 20), (30, 40)]
-    kinds = [remark.split(' are')[0] for remark in found.remarks]
-    assert kinds == ['1 hot pixels', '1 dead pixels']
+    assert np.argwhere(found.mask.all(axis=0)).tolist() == [[10, 20], [30, 40]]
+    assert found.mask.sum() == 2 * len(frames)
+    assert found.remarks['hot'] == '1 hot pixel is masked, the first at x = 20, y = 10'
+    assert found.remarks['dead'] == '1 dead pixel is masked, the first at x = 40, y = 30'
 
 
 def test_noise_is_all_picture():
