@@ -62,6 +62,10 @@ CASES = {
     'continuation': [Case((1.0,))],
     'batch_length': [Case(5)],
     'hop': [Case(1, {'batch_length': 5})],
+    'frame_scale': [Case(name, scene='maps')
+                    for name in ('magnitude', 'power', 'decibels', 'auto')],
+    'bad_frames': [Case('find', scene='blank')],
+    'bad_pixels': [Case('find', {'noise': 'robust'}, 'hot')],
     'registration': [Case(name, {'threshold': 13.0}, 'panning')
                      for name in ('translation', 'affine', 'homography')],
     'background': [Case(name, {'threshold': 13.0}, 'panning') for name in (
@@ -98,6 +102,12 @@ def frames_of(scene):
         # The columns are 36 bins off.
         for t, frame in enumerate(frames):
             add_target(frame, 27.0, 24 - 2.7 * t, 1.0, 12.0)
+    elif scene == 'maps':
+        frames = 3 * np.abs(frames + 1j * rng.standard_normal(frames.shape))**2
+    elif scene == 'blank':
+        frames[3] = 9
+    elif scene == 'hot':
+        frames[:, 14, 14] += 50
     elif scene == 'small':
         frames = frames[:4, :16, :16]
     elif scene == 'complex':

@@ -272,8 +272,8 @@ def _without_other_scenes(prepared: PreparedBatch) -> tuple[PreparedBatch, NDArr
                                 spoiled)
     if elsewhere.any():
         cut = np.flatnonzero(np.diff(elsewhere)) + 1
-        prepared = _with_remark(prepared, 'cut', 'another scene from {frames} on: searched apart',
-                                cut)
+        prepared = _with_remark(prepared, 'cut', 'another scene from {frames} on: a batch is '
+                                'searched in the scene of most of its frames', cut)
     prepared = _masked(prepared, odd[:, None, None])
     return replace(prepared, elsewhere=elsewhere), odd
 

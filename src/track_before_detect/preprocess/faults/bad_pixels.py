@@ -23,6 +23,7 @@ _WIDTHS = 8.0  # extent of what is too large for a target, in standard deviation
 _LEAST_EXTENT_PX = 12
 _PILED_UP = 10.0  # times as many pixels at the largest value as at the next lower one
 _BLOOMING_PX = 2  # around saturated pixels
+_BESIDE_PX = 5  # from a symbol to what says the level around it
 _RING = np.array([[1, 1, 1], [1, 0, 1], [1, 1, 1]], bool)
 _AROUND = np.ones((3, 3), bool)
 
@@ -43,6 +44,25 @@ class BadPixels:
     remarks: dict[str, str]
 
 
+@dataclass(frozen=True)
+class _Seen:
+    """What the frames with data show: the frames, and their noise.
+
+    ``middle``, ``low`` and ``high`` are median and range of each pixel over time.
+    """
+
+    frames: NDArray
+    deviation: float
+    middle: NDArray
+    low: NDArray
+    high: NDArray
+
+    def ends(self, mask: NDArray[np.bool_]) -> list[float]:
+        """Return the least and the largest value of the pixels that are not masked."""
+        known = ~mask & np.isfinite(self.low)
+        return [float(self.low[known].min()), float(self.high[known].max())] if known.any() else []
+
+
 def bad_pixels(frames: NDArray, width_px: float = 1.0) -> BadPixels:
     """Find the pixels of a batch that hold no picture.
 
@@ -54,17 +74,19 @@ def bad_pixels(frames: NDArray, width_px: float = 1.0) -> BadPixels:
         Standard deviation in pixels of a target, which is no saturated area.
     """
     mask = np.zeros(frames.shape, bool)
-    seen = frames[np.isfinite(frames).any(axis=(1, 2))]
-    if len(seen) < 3:
-        return BadPixels(mask, {})
-    deviation = robust_deviation(np.diff(seen, axis=0)) / 2**0.5
-    always, remarks = np.zeros(frames.shape[1:], bool), {}
+    remarks: dict[str, str] = {}
+    with_data = frames[np.isfinite(frames).any(axis=(1, 2))]
+    if len(with_data) < 3:
+        return BadPixels(mask, remarks)
+    deviation = robust_deviation(np.diff(with_data, axis=0)) / 2**0.5
     if deviation > 0:
-        _mask_strips(always, remarks, seen, deviation)
-        _mask_single_pixels(always, remarks, seen, deviation)
-        _mask_symbols(always, remarks, seen, deviation)
-    mask |= always
-    saturated = _saturated(np.where(always, np.nan, frames),
+        seen = _Seen(with_data, deviation, temporal_median(with_data),
+                     with_data.min(axis=0), with_data.max(axis=0))
+        always = np.zeros(frames.shape[1:], bool)
+        for mask_kind in (_mask_strips, _mask_single_pixels, _mask_symbols):
+            mask_kind(always, remarks, seen)
+        mask |= always
+    saturated = _saturated(np.where(mask, np.nan, frames),
                            max(_LEAST_EXTENT_PX, _WIDTHS * width_px))
     if saturated.any():
         mask |= saturated
@@ -72,14 +94,13 @@ def bad_pixels(frames: NDArray, width_px: float = 1.0) -> BadPixels:
     return BadPixels(mask, remarks)
 
 
-def _mask_strips(mask: NDArray[np.bool_], remarks: dict[str, str], frames: NDArray,
-                 deviation: float) -> None:
+def _mask_strips(mask: NDArray[np.bool_], remarks: dict[str, str], seen: _Seen) -> None:
     """Mask the lines at each border that jump off the picture beside them in every frame."""
     for axis, name in ((0, 'row'), (1, 'column')):
         for last in (False, True):
-            lines = np.moveaxis(frames, axis + 1, 1)
+            lines = np.moveaxis(seen.frames, axis + 1, 1)
             lines = lines[:, ::-1] if last else lines
-            width = _strip_width(lines, deviation)
+            width = _strip_width(lines, seen.deviation)
             if not width:
                 continue
             n_lines = lines.shape[1]
@@ -100,28 +121,28 @@ def _strip_width(lines: NDArray, deviation: float) -> int:
     return 0
 
 
-def _mask_single_pixels(mask: NDArray[np.bool_], remarks: dict[str, str], frames: NDArray,
-                        deviation: float) -> None:
+def _mask_single_pixels(mask: NDArray[np.bool_], remarks: dict[str, str], seen: _Seen) -> None:
     """Mask hot pixels, which stand out of all neighbours, and dead ones, which never change."""
-    middle = temporal_median(frames)
-    unknown = mask | ~np.isfinite(middle)
+    unknown = mask | ~np.isfinite(seen.middle)
     nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    middle = middle[tuple(nearest)]
+    middle = seen.middle[tuple(nearest)]
     highest, lowest = (limit(middle, footprint=_RING)
                        for limit in (ndimage.maximum_filter, ndimage.minimum_filter))
-    lonely = np.maximum(middle - highest, lowest - middle) > (1 - _MOST_SPILLED) * _HOT * deviation
-    whole = np.array_equal(middle, np.rint(2 * middle) / 2)
-    least = max(_ALIVE * deviation, _LEAST_LEVELS if whole else 0.0)
+    jump = _HOT * seen.deviation
+    lonely = np.maximum(middle - highest, lowest - middle) > (1 - _MOST_SPILLED) * jump
+    # a bright target that hovers does not change either, at the end of the range
+    still = (seen.low == seen.high) & ~np.isin(seen.low, seen.ends(mask))
+    is_whole = np.array_equal(middle, np.rint(2 * middle) / 2)
+    least = max(_ALIVE * seen.deviation, _LEAST_LEVELS if is_whole else 0.0)
 
     def is_hot(patch: NDArray) -> bool:
         excess = np.abs(patch - np.median(patch))
         around = np.delete(excess[1:4, 1:4].ravel(), 4).max()
-        return excess[2, 2] > _HOT * deviation and around < _MOST_SPILLED * excess[2, 2]
+        return excess[2, 2] > jump and around < _MOST_SPILLED * excess[2, 2]
 
     for kind, candidates, values, is_bad in (
             ('hot', lonely, middle, is_hot),
-            ('dead', np.ptp(frames, axis=0) == 0, np.std(frames, axis=0),
-             lambda patch: np.median(patch) > least)):
+            ('dead', still, np.std(seen.frames, axis=0), lambda patch: np.median(patch) > least)):
         places = np.argwhere(candidates & ~mask)
         if len(places) > _MOST_PIXELS * mask.size:
             continue
@@ -134,27 +155,31 @@ def _mask_single_pixels(mask: NDArray[np.bool_], remarks: dict[str, str], frames
             _name(remarks, kind, found)
 
 
-def _mask_symbols(mask: NDArray[np.bool_], remarks: dict[str, str], frames: NDArray,
-                  deviation: float) -> None:
+def _mask_symbols(mask: NDArray[np.bool_], remarks: dict[str, str], seen: _Seen) -> None:
     """Mask what is drawn into the frames: never changing, at an end of the range, sharp."""
-    low, high = frames.min(axis=0), frames.max(axis=0)
-    picture = ~mask & np.isfinite(low)
-    if not picture.any():
-        return
     found = np.zeros_like(mask)
-    for end in (low[picture].min(), high[picture].max()):
-        drawn = picture & (low == end) & (high == end)
+    for end in seen.ends(mask):
+        drawn = ~mask & (seen.low == end) & (seen.high == end)
+        middle = np.where(mask | drawn, np.nan, seen.middle)
         # what is at the end of the range by itself has neighbours that come near it
-        beside = ndimage.binary_dilation(drawn, _AROUND) & ~drawn & picture
-        near = np.minimum(np.abs(low - end), np.abs(high - end)) <= _HOT * deviation
-        labels, count = ndimage.label(drawn, _AROUND)
-        if not count:
-            continue
-        numbers = np.arange(1, count + 1)
-        reach = ndimage.maximum_filter(labels, 3)
-        n_beside, n_near = (ndimage.sum_labels(which, np.where(beside, reach, 0), numbers)
-                            for which in (beside, beside & near))
-        found |= np.isin(labels, numbers[(n_beside > 0) & (n_near <= _MOST_SPILLED * n_beside)])
+        distance = np.minimum(np.abs(seen.low - end), np.abs(seen.high - end))
+        near = distance <= _HOT * seen.deviation
+        labels, _ = ndimage.label(drawn, _AROUND)
+        for number, place in enumerate(ndimage.find_objects(labels), start=1):
+            rows, columns = (slice(max(part.start - _BESIDE_PX, 0), part.stop + _BESIDE_PX)
+                             for part in place)
+            own = labels[rows, columns] == number
+            values = middle[rows, columns]
+            known = np.isfinite(values)
+            beside = ndimage.binary_dilation(own, _AROUND) & known
+            around = known & ~ndimage.binary_dilation(own, _AROUND, 2)
+            if not beside.any() or not around.any():
+                continue
+            level = np.median(values[around])
+            # the flanks of a target are as soft as its point spread function
+            spilled = (np.mean(values[beside]) - level) / (end - level)
+            if spilled < _MOST_SPILLED and np.mean(near[rows, columns][beside]) < _MOST_SPILLED:
+                found[rows, columns] |= own
     if found.any():
         mask |= found
         _name(remarks, 'burnt-in', found)

@@ -40,10 +40,9 @@ def frame_faults(frames: NDArray) -> dict[str, NDArray[np.bool_]]:
     for t in np.flatnonzero(shown):
         single[t] = np.nanmin(frames[t]) == np.nanmax(frames[t])
         contrast[t] = robust_deviation(_part(frames[t]))
-    if not single[shown].all():
+    if shown.any():
         share[shown] = np.mean(frames[shown] == np.nanmax(frames[shown]), axis=(1, 2))
         saturated = share > _SATURATED + np.median(share[shown])
-        # frames of one value are blank beside others; alone they are what there is to see
         faint |= single & ~saturated
     pictures = shown & ~single & ~saturated
     usual = float(np.median(contrast[pictures])) if pictures.any() else 0.0
@@ -96,7 +95,8 @@ def other_scenes(frames: NDArray) -> NDArray[np.bool_] | None:
     if not compared:
         return None
     _, scene = csgraph.connected_components(linked, directed=False)
-    of_most = scene == np.argmax(np.bincount(scene))
+    # of equally many the later ones, of which no earlier batch has seen more
+    of_most = scene == scene.max() - np.argmax(np.bincount(scene)[::-1])
     for label in np.unique(scene[~of_most]):
         own, most = np.flatnonzero(scene == label), np.flatnonzero(of_most)
         near = np.abs(own[:, None] - most[None, :])
