@@ -131,7 +131,7 @@ class DetectorOptions:
     frame_scale: str = declared(
         'linear', 'What pixels are: linear takes them as they are; of maps of complex noise, '
         'magnitude, power and decibels make its noise nearly Gaussian, and amplitudes are in '
-        'units of that; auto recognises these maps by their noise.', kind='text',
+        'units of that; auto recognises such maps.', kind='text',
         choices=('linear', 'magnitude', 'power', 'decibels', 'auto'))
     bad_frames: str = declared(
         'none', 'Whether frames that are blank, saturated, garbage, or show another scene than '
