@@ -62,6 +62,10 @@ CASES = {
     'continuation': [Case((1.0,))],
     'batch_length': [Case(5)],
     'hop': [Case(1, {'batch_length': 5})],
+    'frame_scale': [Case(name, {'background': 'temporal_median', 'threshold': 25.0}, 'maps')
+                    for name in ('magnitude', 'power', 'decibels', 'auto')],
+    'bad_frames': [Case('find', scene='blank')],
+    'bad_pixels': [Case('find', {'noise': 'robust'}, 'hot')],
     'registration': [Case(name, {'threshold': 13.0}, 'panning')
                      for name in ('translation', 'affine', 'homography')],
     'background': [Case(name, {'threshold': 13.0}, 'panning') for name in (
@@ -86,7 +90,8 @@ def quick_calibration(monkeypatch, tmp_path):
 def frames_of(scene):
     """Return a bright, a negative, a late and a fast target, and one across the seam."""
     rng = np.random.default_rng(7)
-    frames = rng.standard_normal((20 if scene == 'long' else T, *SHAPE)).astype(np.float32)
+    n_frames = 20 if scene in ('long', 'maps') else T
+    frames = rng.standard_normal((n_frames, *SHAPE)).astype(np.float32)
     for t, frame in enumerate(frames):
         add_target(frame, 10 + 0.8 * t, 20 - 0.3 * t, 1.0, 11.0 + 2 * np.cos(t))
         add_target(frame, 12 + 0.5 * t, 8.0, 1.0, -11.0)
@@ -98,6 +103,12 @@ def frames_of(scene):
         # The columns are 36 bins off.
         for t, frame in enumerate(frames):
             add_target(frame, 27.0, 24 - 2.7 * t, 1.0, 12.0)
+    elif scene == 'maps':
+        frames = np.abs(frames + 1j * rng.standard_normal(frames.shape))**2 / 2
+    elif scene == 'blank':
+        frames[3] *= 0.1
+    elif scene == 'hot':
+        frames[:, 14, 14] += 50
     elif scene == 'small':
         frames = frames[:4, :16, :16]
     elif scene == 'complex':

@@ -180,6 +180,7 @@ COMBINATIONS = (
     Limit('registration', 'the columns go round', when=Condition(
         'with doppler_ambiguities', lambda options: options.doppler_ambiguities > 0)),
     Limit('registration', 'shifts are found between pictures of real numbers', when=_COMPLEX),
+    Limit('frame_scale', 'complex numbers are no scale of magnitudes', when=_COMPLEX),
     Limit('background', 'the phase of neighbouring pixels has no median', ('temporal_median',),
           when=_COMPLEX),
     Limit('presence', 'the magnitudes of noise have a mean above zero, so their sum over the root '

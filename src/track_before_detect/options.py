@@ -129,6 +129,18 @@ class DetectorOptions:
     hop: int | None = declared(
         None, 'Frames from the start of one batch to the next; automatic is half a batch.',
         kind='integer', unit='frames', minimum=1, optional=True)
+    frame_scale: str = declared(
+        'linear', 'What pixels are: linear takes them as they are; of maps of complex noise, '
+        'magnitude, power and decibels make its noise nearly Gaussian, and amplitudes are in '
+        'units of that; auto recognises such maps.', kind='text',
+        choices=('linear', 'magnitude', 'power', 'decibels', 'auto'))
+    bad_frames: str = declared(
+        'none', 'Whether frames that are blank, saturated, garbage, or show another scene than '
+        'the others, are found, masked and named; targets are followed through them.',
+        kind='text', choices=('none', 'find'))
+    bad_pixels: str = declared(
+        'none', 'Whether rows of telemetry, burnt-in symbols, saturated areas, dead and hot '
+        'pixels are found, masked and named.', kind='text', choices=('none', 'find'))
     registration: str = declared(
         'none', 'How frames are aligned before the search: by a shift, or also by a turn and a '
         'zoom (affine) and a slope of the scene (homography).', kind='text',

@@ -43,6 +43,25 @@ class FrameBatch:
 
 
 @dataclass(frozen=True)
+class Remark:
+    """What was done with pixels or frames of a batch that could not be searched as they came.
+
+    Attributes
+    ----------
+    kind : str
+        What it is about; said once, or once for each frame.
+    text : str
+        A sentence, ``{frames}`` where frames are named.
+    frames : tuple of int
+        Numbers of these frames in the recording, ascending; none where it is about pixels.
+    """
+
+    kind: str
+    text: str
+    frames: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
 class Trajectory:
     """One detected target.
 

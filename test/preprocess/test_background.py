@@ -50,6 +50,35 @@ def test_a_still_scene_seen_at_fractions_of_a_pixel_goes_and_a_target_stays():
     assert np.abs(residual).max() < 2.0
 
 
+@pytest.mark.parametrize(('first', 'gain'), [(12, 1.5), (9, 0.6), (3, 2.0), (17, 1.1)])
+def test_a_gain_and_a_level_that_jump_leave_no_scene(first, gain):
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        y, x = np.mgrid[:60, :70].astype(float)
+        frames = np.repeat(scene(x, y)[None], 20, axis=0)
+        frames[first:] = 300 + gain * frames[first:]
+        frames += rng.normal(size=frames.shape)
+        frames[::3, 30, 40] += 40
+        residual = remove_temporal_median(frames, geometry.translations(np.zeros((20, 2))))
+        assert np.median(residual[::3, 30, 40]) > 35
+        residual[:, 30, 40] = 0
+        np.testing.assert_allclose(residual.std(axis=(1, 2)), 1.0, atol=0.06)
+
+
+def test_frames_of_one_gain_are_not_touched():
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        y, x = np.mgrid[:48, :48].astype(float)
+        frames = 0.1 * seed * scene(x, y) + rng.normal(size=(20, 48, 48))
+        frames = frames.astype(np.float32)
+        levels = np.median(frames[:, ::2, ::2] - frames[10, ::2, ::2], axis=(1, 2))
+        centred = frames - levels[:, None, None]
+        expected = frames - np.median(centred, axis=0)
+        expected -= np.median(expected[:, ::2, ::2], axis=(1, 2))[:, None, None]
+        residual = remove_temporal_median(frames, geometry.translations(np.zeros((20, 2))))
+        np.testing.assert_allclose(residual, expected, atol=1e-4)
+
+
 def test_noise_of_the_frames_stays_white():
     rng = np.random.default_rng(1)
     frames = rng.normal(size=(20, 64, 64))

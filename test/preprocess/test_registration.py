@@ -99,6 +99,17 @@ def test_a_frame_that_shows_nothing_gets_the_offset_between_its_neighbours():
         np.testing.assert_allclose(found.offsets[index], between, atol=1e-9)
 
 
+@pytest.mark.parametrize('spoil', [np.nan, 0.0, 1.0])
+def test_a_spoiled_frame_in_the_middle_is_no_reference(spoil):
+    frames, offsets = panned(6)
+    frames[4] = spoil * np.random.default_rng(0).normal(size=SHAPE)
+    found = register(frames)
+    others = np.arange(9) != 4
+    np.testing.assert_array_equal(found.credible, others)
+    relative = offsets - offsets[found.reference]
+    np.testing.assert_allclose(found.offsets[others], relative[others], atol=0.1)
+
+
 @pytest.mark.parametrize('shape', [(1, 20, 20), (3, 1, 64), (4, 3, 3), (2, 5, 200)])
 def test_any_shape_is_accepted(shape):
     frames = np.random.default_rng(0).normal(size=shape).astype(np.float32)

@@ -8,8 +8,14 @@ from scipy import ndimage
 
 from track_before_detect import geometry
 from track_before_detect.preprocess.resampling import warped, warped_frames
+from track_before_detect.preprocess.robust import robust_deviation
 
 _LEAST_SHARE = 1 / 3  # of the frames must show a pixel, or nothing is known about it
+_MOST_PIXELS = 20_000  # of a frame that tell its gain
+_CLEAR = 6.0  # errors by which a gain is another
+_LEAST_EXCESS = 0.1  # of the noise that the scene must leave with the wrong gain
+_OUTLYING = 3.0  # deviations beyond which a pixel has no say
+_ROUNDS = 3
 
 
 def temporal_median(frames: NDArray) -> NDArray:
@@ -26,9 +32,9 @@ def temporal_median(frames: NDArray) -> NDArray:
     Returns
     -------
     array, shape (H, W)
-        The median, NaN where fewer than a third of the frames are finite.
+        The median, NaN where fewer than a third of the frames that show anything are finite.
     """
-    return _sorted_median(np.moveaxis(frames, 0, -1), _LEAST_SHARE)
+    return _sorted_median(np.moveaxis(frames[_shown(frames)], 0, -1), _LEAST_SHARE)
 
 
 def _sorted_median(values: NDArray, least_share: float = 0.0) -> NDArray:
@@ -53,7 +59,7 @@ def remove_temporal_median(frames: NDArray, maps: NDArray) -> NDArray:
 
     The frames keep their own grid, so that their noise stays white: they are moved onto the
     registered plane only to find the background, which is then moved back to each of them. The
-    level of each frame is taken off as well; the gain of a camera drifts.
+    level of each frame is taken off as well, and its gain followed where it clearly jumped.
 
     Parameters
     ----------
@@ -68,16 +74,67 @@ def remove_temporal_median(frames: NDArray, maps: NDArray) -> NDArray:
         Frames without background, NaN where masked or where the background is not known.
     """
     aligned = warped_frames(frames, maps)
-    reference = aligned[len(aligned) // 2]
+    numbers = _shown(aligned)
+    reference = aligned[numbers[len(numbers) // 2] if len(numbers) else 0]
     for frame in aligned:
         frame -= _level(frame - reference)
     background = temporal_median(aligned)
+    gains = _gains(aligned, background)
+    if np.any(gains != 1):
+        for frame, gain in zip(aligned, gains, strict=True):
+            frame -= _level(frame - gain * background)
+            frame /= gain
+        background = temporal_median(aligned)
     residual = np.empty_like(frames)
     back = geometry.inverse(maps)
     for index, frame in enumerate(frames):
-        residual[index] = frame - warped(background, back[index])
+        residual[index] = frame - gains[index] * warped(background, back[index])
         residual[index] -= _level(residual[index])
     return residual
+
+
+def _gains(frames: NDArray, background: NDArray) -> NDArray[np.float32]:
+    """Return the gain of each frame beside the usual one, 1 where it is not clearly another."""
+    step = max(1, int(np.ceil(np.sqrt(background.size / _MOST_PIXELS))))
+    scene, part = background[::step, ::step], frames[:, ::step, ::step]
+    slopes, errors, noises = np.array([_slope(frame, scene) for frame in part]).T
+    usual = np.nanmedian(slopes) if np.isfinite(slopes).any() else 1.0
+    if not usual > 0:
+        return np.ones(len(frames), dtype=np.float32)
+    gains = slopes / usual
+    off = np.abs(gains - 1)
+    with np.errstate(invalid='ignore'):
+        clear = ((off > _CLEAR * errors / usual) & (gains > 0)
+                 & (off * robust_deviation(scene) > _LEAST_EXCESS * noises))
+    return np.where(clear, gains, 1.0).astype(np.float32)
+
+
+def _slope(frame: NDArray, scene: NDArray) -> tuple[float, float, float]:
+    """Return how much of a scene (H, W) a frame shows, its error, and the deviation of the rest.
+
+    NaN where nothing is known. The error counts what the rows disagree.
+    """
+    known = np.isfinite(frame) & np.isfinite(scene)
+    if not known.any():
+        return np.nan, np.nan, np.nan
+    x = np.where(known, scene - np.median(scene[known]), 0.0).astype(np.float64)
+    y = np.where(known, frame - np.median(frame[known]), 0.0).astype(np.float64)
+    used, slope, noise = known, 0.0, 0.0
+    for _ in range(_ROUNDS):
+        power = np.sum(x[used] ** 2)
+        if not power > 0:
+            return np.nan, np.nan, np.nan
+        slope = float(np.sum(x[used] * y[used]) / power)
+        rest = np.where(known, y - slope * x, 0.0)
+        noise = robust_deviation(rest[known])
+        used = known & (np.abs(rest) <= _OUTLYING * noise)
+    pulls = np.sum(np.where(used, x * rest, 0.0), axis=1)
+    return slope, float(np.sqrt(np.sum(pulls ** 2)) / power), noise
+
+
+def _shown(frames: NDArray) -> NDArray[np.intp]:
+    """Return the numbers of the frames that hold any data."""
+    return np.flatnonzero(np.isfinite(frames).any(axis=(1, 2)))
 
 
 def remove_spatial_median(frames: NDArray, mesh_px: int) -> NDArray:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-import logging
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,9 +11,16 @@ from track_before_detect import geometry
 from track_before_detect.checks import check_kind, checked_frames
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
+from track_before_detect.preprocess.amplitude_scale import nearly_gaussian, recognised_scale
 from track_before_detect.preprocess.background import (
     remove_spatial_median,
     remove_temporal_median,
+)
+from track_before_detect.preprocess.faults.bad_pixels import bad_pixels
+from track_before_detect.preprocess.faults.frame_faults import (
+    at_an_end,
+    frame_faults,
+    other_scenes,
 )
 from track_before_detect.preprocess.given_pixels import given_level, masked_pixels
 from track_before_detect.preprocess.noise_level import (
@@ -26,7 +32,7 @@ from track_before_detect.preprocess.noise_level import (
 from track_before_detect.preprocess.registration import register
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
-from track_before_detect.types import FrameBatch
+from track_before_detect.types import FrameBatch, Remark
 
 _QUANTISED_FLOOR = 0.3  # of a grey level: rounding alone adds 1/sqrt(12)
 
@@ -38,9 +44,6 @@ _LEAST_MESH_PX = 12  # cells this small follow the shading of a lens under a pan
 _MESH_SIGMAS = 8  # side of a cell, of which a target must cover little
 _STILL_SCENE = ('temporal_median', 'temporal_spatial_median')
 _OVER_TIME = {'background': _STILL_SCENE, 'noise': ('map',)}
-
-_logger = logging.getLogger(__name__)
-
 
 @dataclass(frozen=True)
 class PreparedBatch:
@@ -66,6 +69,10 @@ class PreparedBatch:
         None where the noise differs between frames at most.
     unit : float
         Standard deviation of the noise at a weight of one, in the units of the input.
+    remarks : tuple of Remark
+        What was done with pixels and frames that could not be searched as they came.
+    elsewhere : array of bool, shape (T,) or (1,)
+        Frames at either end that show another scene, and are masked.
     """
 
     frames: NDArray
@@ -75,6 +82,8 @@ class PreparedBatch:
     maps: NDArray[np.float64]
     weights: NDArray[np.float32] | None = None
     unit: float = 1.0
+    remarks: tuple[Remark, ...] = ()
+    elsewhere: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
 
     def __len__(self) -> int:
         return len(self.frames)
@@ -94,23 +103,35 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
     batch : FrameBatch
         Frames as they came; left as they are.
     options : DetectorOptions
-        ``registration``, ``background`` and ``noise`` say what is done; ``variance`` and ``mask``
-        what is known of the pixels.
+        ``bad_frames``, ``bad_pixels``, ``frame_scale``, ``registration``, ``background`` and
+        ``noise`` say what is done; ``variance`` and ``mask`` what is known of the pixels.
     width_px : float
         Standard deviation in pixels of a target, as the point spread function has it.
 
     Returns
     -------
     PreparedBatch
-        New arrays; where a step is not asked for, its part of the input is passed on.
+        New arrays; where a step is not asked for, its part of the input is passed on. All frames
+        are NaN where too few of them turn out to be pictures.
     """
     prepared = _in_single_precision(batch)
     _check_options(options, prepared)
     if options.mask is not None:
         prepared = _masked(prepared, masked_pixels(options.mask, batch))
+    if options.bad_frames == 'find':
+        prepared = _without_faulty_frames(prepared)
+        if _n_shown(prepared) < _least_frames(options)[0]:
+            return replace(prepared, frames=np.full_like(prepared.frames, _nan(prepared.frames)))
+    if options.bad_pixels == 'find':
+        prepared = _without_bad_pixels(prepared, width_px)
+    scale = options.frame_scale
+    if scale != 'linear':
+        prepared, scale = _nearly_gaussian(prepared, scale)
     on_plane = options.registration != 'none' and options.search_plane == 'scene'
     if on_plane or (options.registration != 'none' and options.background in _STILL_SCENE):
         prepared = _registered(prepared, options.registration)
+    elif options.bad_frames == 'find':
+        prepared, _ = _without_other_scenes(prepared)
     if options.background in _STILL_SCENE:
         prepared = _without_still_scene(prepared)
     if options.background in ('spatial_median', 'temporal_spatial_median'):
@@ -118,7 +139,7 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
     if options.variance is not None:
         prepared = _divided(prepared, given_level(options.variance, batch))
     if options.noise != 'none':
-        is_whole = np.issubdtype(np.asarray(batch.frames).dtype, np.integer)
+        is_whole = scale == 'linear' and np.issubdtype(np.asarray(batch.frames).dtype, np.integer)
         prepared = _divided(prepared, _noise_level(
             prepared, options.noise, _QUANTISED_FLOOR if is_whole else 0.0, width_px))
         prepared = _with_white_scale(prepared, width_px)
@@ -156,11 +177,18 @@ def _in_single_precision(batch: FrameBatch) -> PreparedBatch:
 def _check_options(options: DetectorOptions, prepared: PreparedBatch) -> None:
     """Refuse frames of another kind than the amplitudes, and too few of them for a step."""
     check_kind(prepared.frames, options.amplitudes)
+    least, step = _least_frames(options)
+    if len(prepared) < least:
+        raise DataError(f'{step} needs at least {least} frames, got {len(prepared)}')
+
+
+def _least_frames(options: DetectorOptions) -> tuple[int, str]:
+    """Return how many frames the steps need, and the step that needs them."""
     for name, choices in _OVER_TIME.items():
         value = getattr(options, name)
-        if value in choices and len(prepared) < _LEAST_FRAMES:
-            raise DataError(
-                f'{name}={value} needs at least {_LEAST_FRAMES} frames, got {len(prepared)}')
+        if value in choices:
+            return _LEAST_FRAMES, f'{name}={value}'
+    return 1, ''
 
 
 def _masked(prepared: PreparedBatch, masked: NDArray[np.bool_]) -> PreparedBatch:
@@ -168,21 +196,97 @@ def _masked(prepared: PreparedBatch, masked: NDArray[np.bool_]) -> PreparedBatch
     return replace(prepared, frames=np.where(masked, _nan(prepared.frames), prepared.frames))
 
 
+def _with_remark(prepared: PreparedBatch, kind: str, text: str,
+                 frames: NDArray | None = None) -> PreparedBatch:
+    """Return a batch with one more remark, about some of its frames (T,) if given."""
+    numbers = () if frames is None else tuple(prepared.frame_indices[frames].tolist())
+    return replace(prepared, remarks=(*prepared.remarks, Remark(kind, text, numbers)))
+
+
+def _without_faulty_frames(prepared: PreparedBatch) -> PreparedBatch:
+    """Return a batch in which frames that are no pictures are masked."""
+    for kind, found in frame_faults(_values(prepared.frames)).items():
+        if found.any():
+            prepared = _masked(prepared, found[:, None, None])
+            prepared = _with_remark(prepared, kind, f'{{frames}} masked: {kind}', found)
+    return prepared
+
+
+def _n_shown(prepared: PreparedBatch) -> int:
+    """Return how many frames hold any data."""
+    return int(np.isfinite(prepared.frames).any(axis=(1, 2)).sum())
+
+
+def _without_bad_pixels(prepared: PreparedBatch, width_px: float) -> PreparedBatch:
+    """Return a batch in which pixels that hold no picture are masked."""
+    found = bad_pixels(_values(prepared.frames), width_px)
+    for kind, sentence in found.remarks.items():
+        prepared = _with_remark(prepared, f'{kind} pixels', sentence)
+    return _masked(prepared, found.mask)
+
+
+def _nearly_gaussian(prepared: PreparedBatch, scale: str) -> tuple[PreparedBatch, str]:
+    """Return a batch whose noise is nearly Gaussian if its scale is known, and that scale."""
+    frames = prepared.frames
+    if scale == 'auto':
+        scale = recognised_scale(frames)
+        if scale == 'linear':
+            return prepared, scale
+        prepared = _with_remark(
+            prepared, 'scale', f'frames are taken for maps of complex noise on the scale {scale}, '
+            'and brought to nearly Gaussian noise')
+    elif scale != 'decibels' and np.any(frames < 0):
+        raise DataError(f'frame_scale={scale} needs pixels of at least 0, got '
+                        f'{np.nanmin(frames):g}')
+    return replace(prepared, frames=nearly_gaussian(frames, scale)), scale
+
+
 def _registered(prepared: PreparedBatch, model: str) -> PreparedBatch:
     """Return a batch with the map from the plane to each frame, and say what is doubtful."""
+    has_data = np.isfinite(prepared.frames).any(axis=(1, 2))
     registration = register(prepared.frames, model)
-    doubtful = np.flatnonzero(~registration.credible)
-    if doubtful.size:
-        _logger.warning(
-            'registration found no shift for %d of %d frames (the first is %d); theirs is '
-            'taken from the frames around', doubtful.size, len(prepared),
-            prepared.frame_indices[doubtful[0]])
-    shifted = np.flatnonzero(registration.credible & ~registration.refined)
-    if shifted.size:
-        _logger.warning(
-            'registration=%s found no more than a shift for %d of %d frames (the first is %d)',
-            model, shifted.size, len(prepared), prepared.frame_indices[shifted[0]])
-    return replace(prepared, maps=registration.maps)
+    prepared = replace(prepared, maps=registration.maps)
+    doubtful = has_data & ~registration.credible
+    if doubtful.any():
+        prepared, odd = _without_other_scenes(prepared)
+        doubtful &= ~odd
+    if doubtful.sum() > 0.5 * has_data.sum():
+        prepared = _with_remark(
+            prepared, 'no registration', 'registration found no shift in most frames: the scene '
+            'shows too little, and may stand still')
+    elif doubtful.any():
+        prepared = _with_remark(
+            prepared, 'registration', 'registration found no shift for {frames}: it is taken from '
+            'the frames around', doubtful)
+    shifted = has_data & registration.credible & ~registration.refined
+    if shifted.any():
+        prepared = _with_remark(
+            prepared, 'refinement', f'registration={model} found no more than a shift for '
+            '{frames}', shifted)
+    return prepared
+
+
+def _without_other_scenes(prepared: PreparedBatch) -> tuple[PreparedBatch, NDArray[np.bool_]]:
+    """Return a batch in which frames are masked that do not show its scene, and which these are.
+
+    Frames on either side of a cut are searched with those of their own scene, by the batch that
+    holds more of these.
+    """
+    found = other_scenes(warped_frames(_values(prepared.frames), prepared.maps))
+    odd = np.zeros(len(prepared), dtype=bool) if found is None else found
+    elsewhere = at_an_end(odd)
+    if not odd.any():
+        return prepared, odd
+    spoiled = odd & ~elsewhere
+    if spoiled.any():
+        prepared = _with_remark(prepared, 'unlike', '{frames} masked: unlike the frames around',
+                                spoiled)
+    if elsewhere.any():
+        cut = np.flatnonzero(np.diff(elsewhere)) + 1
+        prepared = _with_remark(prepared, 'cut', 'another scene from {frames} on: a batch is '
+                                'searched in the scene of most of its frames', cut)
+    prepared = _masked(prepared, odd[:, None, None])
+    return replace(prepared, elsewhere=elsewhere), odd
 
 
 def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:
@@ -283,6 +387,11 @@ def _check_size(frames: NDArray) -> None:
 def _real_parts(frames: NDArray) -> NDArray[np.float32]:
     """Return frames as real ones, shape (T, H, 2 W) when they are complex."""
     return frames.view(np.float32)
+
+
+def _values(frames: NDArray) -> NDArray[np.float32]:
+    """Return what pixels show: their values, or the magnitudes of complex ones."""
+    return np.abs(frames) if np.iscomplexobj(frames) else frames
 
 
 def _nan(frames: NDArray) -> np.generic:

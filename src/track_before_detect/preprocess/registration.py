@@ -82,8 +82,8 @@ def register(frames: NDArray, model: str = 'translation') -> Registration:
         Maps, their quality and the reference.
     """
     n_frames = len(frames)
-    reference = n_frames // 2
     features = [features_of(frame) for frame in frames]
+    reference = _reference(features)
     maps = np.full((n_frames, 3, 3), np.nan)
     quality = np.zeros(n_frames)
     refined = np.ones(n_frames, dtype=bool)
@@ -103,6 +103,23 @@ def register(frames: NDArray, model: str = 'translation') -> Registration:
     for row, column in np.ndindex(3, 3):
         maps[:, row, column] = np.interp(times, times[credible], maps[credible, row, column])
     return Registration(maps / maps[:, 2:, 2:], quality, credible, refined, reference)
+
+
+def _reference(features: Sequence[NDArray]) -> int:
+    """Return the frame with data nearest to the middle, or one beside it if it is spoiled."""
+    middle = len(features) // 2
+    numbers = sorted((t for t, feature in enumerate(features) if feature.any()),
+                     key=lambda t: abs(t - middle))
+    if len(numbers) < 3:
+        return numbers[0] if numbers else middle
+    first, second, third = numbers[:3]
+
+    def matched(one: int, other: int) -> bool:
+        found = match(features[one], features[other], np.zeros(2, dtype=int))
+        return found.peak >= CREDIBLE
+
+    spoiled = not (matched(first, second) or matched(first, third)) and matched(second, third)
+    return second if spoiled else first
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
 from track_before_detect.tracking.previous_batch import map_previous_batch
+from track_before_detect.tracking.remarks import Remarks
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
@@ -79,6 +80,7 @@ class TrackingPipeline:
         self._stitcher: Stitcher = (
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []
+        self._remarks = Remarks()
         self._scale_is_known = options.noise != 'none'
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
@@ -133,7 +135,8 @@ class TrackingPipeline:
         self._before = self._stitcher.link(
             found, self._period(batch.frames.shape[2]),
             [trajectory for trajectory in rejected if trajectory.reason == BELOW])
-        return replace(results[0], trajectories=list(self._before), rejected=rejected)
+        return replace(results[0], trajectories=list(self._before), rejected=rejected,
+                       remarks=[remark for result in results for remark in result.remarks])
 
     def carried_on(self, known: Trajectory, weaker: list[Trajectory]) -> list[Trajectory]:
         """Return the rejected candidate that carries on a trajectory; see :class:`Stitcher`."""
@@ -145,6 +148,9 @@ class TrackingPipeline:
         """Find the trajectories beside one background, without ids."""
         options = self._options.replace(background=background)
         prepared = prepare(batch, options, psf_of(options).width_px)
+        remarks = self._remarks.new(prepared.remarks)
+        if not np.isfinite(prepared.frames).any():
+            return DetectionResult([], 0.0, remarks=remarks)
         self._check_scale(prepared.frames[len(batch) // 2])
         earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
         result = self._detector.detect(
@@ -158,12 +164,13 @@ class TrackingPipeline:
                 (trajectory := _in_original_frames(one, prepared, unit, period)).positions).any()]
             for ones in (result.found, result.rejected))
         return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
-                               rejected=rejected)
+                               rejected=rejected, remarks=remarks)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
         self._stitcher.reset()
         self._before = []
+        self._remarks = Remarks()
 
     def _period(self, width: int) -> int | None:
         """Return the columns after which frames begin again, None where they end."""
@@ -242,9 +249,10 @@ def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch,
         if period is not None:
             moved[:, 0] = np.unwrap(moved[:, 0], period=period)
         velocity[present] = np.gradient(moved, prepared.stamps[present], axis=0)
-    # A path on the registered plane may leave the view of a frame; it is absent from that frame.
+    # A path on the registered plane may leave the view of a frame; it is absent from that frame,
+    # and from those that show another scene.
     inside = (positions >= -0.5) & (positions <= [width - 0.5, height - 0.5])
-    outside = ~inside.all(axis=1)
+    outside = ~inside.all(axis=1) | prepared.elsewhere
     positions[outside] = np.nan
     velocity[outside] = np.nan
     amplitudes[outside] = np.nan

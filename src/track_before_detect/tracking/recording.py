@@ -137,6 +137,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         result = pipeline.process(batch, progress)
         joined.add(result.trajectories)
         searched.append(result)
+        remarks += result.remarks
         history += result.history
         threshold = max(threshold, result.threshold)
         gap = float(np.fmax(gap, result.gap))

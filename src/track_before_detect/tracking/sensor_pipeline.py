@@ -15,9 +15,10 @@ from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.tracking.previous_batch import map_previous_batch
+from track_before_detect.tracking.remarks import Remarks
 from track_before_detect.tracking.sensors import SensorArray
 from track_before_detect.tracking.stitcher import Stitcher
-from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
+from track_before_detect.types import DetectionResult, FrameBatch, Progress, Remark, Trajectory
 
 DETECTORS: dict[str, type[PathDetector]] = {'convex': ConvexDetector, 'greedy': GreedyDetector}
 
@@ -43,10 +44,11 @@ class SensorPipeline:
         self._detector = detector or DETECTORS[options.detector](options, array.measurement)
         self._stitcher = Stitcher(array.measurement.width_px)
         self._before: list[Trajectory] = []
+        self._remarks = Remarks()
 
     def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of a batch; positions are those of the common plane."""
-        whole, weights, units = self._prepared(batch)
+        whole, weights, units, remarks = self._prepared(batch)
         on_plane = np.tile(geometry.translations(self._array.origin[None]), (len(batch), 1, 1))
         result = self._detector.detect(
             whole, None if np.all(weights == 1) else weights,
@@ -54,14 +56,15 @@ class SensorPipeline:
         self._before = self._stitcher.link(
             [self._on_plane(found, units, batch) for found in result.found])
         return DetectionResult(list(self._before), result.threshold, result.status,
-                               result.history, result.gap)
+                               result.history, result.gap, remarks=remarks)
 
-    def _prepared(self, batch: FrameBatch) -> tuple[FrameBatch, NDArray, NDArray]:
-        """Return frames of unit noise, the weight of each pixel, and the unit of amplitudes."""
+    def _prepared(self, batch: FrameBatch) -> tuple[FrameBatch, NDArray, NDArray, list[str]]:
+        """Return frames of unit noise, weights of pixels, the unit of amplitudes, and remarks."""
         array = self._array
         frames = np.full(batch.frames.shape, np.nan, array.dtype)
         units = np.full(batch.frames.shape, np.nan, np.float32)
         weights = np.zeros(batch.frames.shape, np.float32)
+        remarks: list[str] = []
         of_frame = array.sensor[batch.frame_indices]
         for sensor in np.unique(of_frame):
             rows = np.flatnonzero(of_frame == sensor)
@@ -69,6 +72,9 @@ class SensorPipeline:
                 # It looks away; the others go on.
                 continue
             own = self._prepared_of(batch, rows, int(sensor))
+            remarks += self._remarks.new(
+                Remark(f'{sensor} {one.kind}', f'sensor {sensor}: {one.text}', one.frames)
+                for one in own.remarks)
             height, width = array.shapes[sensor]
             frames[rows, :height, :width] = own.frames
             plain = own.weights is None
@@ -77,7 +83,7 @@ class SensorPipeline:
                 own.noise_level if plain else own.unit)
         if not weights.any():
             raise DataError(f'no pixel of the {len(batch)} frames is finite')
-        return FrameBatch(frames, batch.stamps, batch.frame_indices), weights, units
+        return FrameBatch(frames, batch.stamps, batch.frame_indices), weights, units, remarks
 
     def _prepared_of(self, batch: FrameBatch, rows: NDArray, sensor: int) -> PreparedBatch:
         """Return the frames of one sensor, prepared with what is known of its pixels."""

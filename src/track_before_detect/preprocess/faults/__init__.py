@@ -1,0 +1,1 @@
+"""Pixels and frames that hold no picture, found and named."""
