@@ -68,7 +68,8 @@ class BatchResult:
     threshold: float
     status: str
     history: list[Step]
-    gap: float
+    gap: float = float('nan')
+    best_statistic: float = float('nan')
 
 
 class BatchDetector(ABC):
@@ -141,7 +142,7 @@ class BatchDetector(ABC):
             Where targets of the batch before are in this one; a detector that begins afresh takes
             no notice.
         progress : callable, optional
-            Told of a calibration.
+            Told of a calibration, and of the search while it lasts.
         """
 
 

@@ -27,8 +27,10 @@ class GreedyDetector(PathDetector):
         bound = model.value(paths.threshold)
         history: list[Step] = []
         found: list[FoundTrajectory] = []
-        status = 'iteration_limit'
+        status, largest = 'iteration_limit', float('nan')
         for _ in range(MOST_PATHS):
+            if task.watch.time_is_up():
+                break
             largest, best = task.search.best_paths(
                 paths.residual, bound, 1.0, lambda positions: True, 1)
             violation = model.from_value(largest) / paths.threshold - 1
@@ -48,5 +50,5 @@ class GreedyDetector(PathDetector):
                 np.where(present, paths.target_amplitudes(added), np.nan),
                 self.scale.statistic(path.value, len(seen)), model.snr(seen[visible])))
         found.sort(key=lambda trajectory: -trajectory.statistic)
-        threshold = self.scale.statistic(model.value(paths.threshold), len(task.times))
-        return BatchResult(found, threshold, status, history, float('nan'))
+        return BatchResult(found, self.reported_threshold(task), task.watch.status(status), history,
+                           best_statistic=self.best_left(task, largest))

@@ -29,9 +29,12 @@ from track_before_detect.solvers.calibration.path_noise import path_noise_study
 from track_before_detect.solvers.calibration.threshold import threshold_for
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
+from track_before_detect.solvers.noise_check import passes_everywhere
 from track_before_detect.solvers.path_statistic import PathStatistic
+from track_before_detect.solvers.refine.refinement import refiner_for
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
 from track_before_detect.solvers.search.periodic_columns import columns_of, doppler_columns
+from track_before_detect.solvers.watch import Watch
 from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress
 
@@ -60,6 +63,8 @@ class Task:
         What a target looks like in these frames.
     earlier : EarlierPaths or None
         Where targets of the batch before are, on the plane that is searched.
+    watch : Watch
+        Says when the time is up.
     """
 
     graph: StateGraph
@@ -69,6 +74,7 @@ class Task:
     weights: NDArray[np.float32]
     measurement: MeasurementModel
     earlier: EarlierPaths | None
+    watch: Watch
 
 
 class PathDetector(BatchDetector):
@@ -113,6 +119,7 @@ class PathDetector(BatchDetector):
         shape = measurement.plane_shape(batch.frames.shape[1:])
         graph = self._graph(stamps, measurement, shape)
         threshold = self._threshold(stamps, measurement, shape, progress)
+        watch = Watch(self.options.max_time_s, progress)
         columns = columns_of(self.options, measurement, shape[1], graph)
         frames, weights = self._searched(columns.strip(batch.frames), weights if weights is None
                                          else columns.strip(np.asarray(weights)))
@@ -121,9 +128,34 @@ class PathDetector(BatchDetector):
             weights = np.zeros((0, 0, 0), np.float32)
         paths = WorkingSet(frames, weights, measurement,
                            self.scale.penalty(threshold, len(frames)), self.model, columns.period)
-        result = self.solve(Task(graph, search, paths, self._graphs.times(stamps, measurement),
-                                 weights, measurement, columns.on_strip(earlier)))
+        task = Task(graph, search, paths, self._graphs.times(stamps, measurement), weights,
+                    measurement, columns.on_strip(earlier), watch)
+        if self._passes_everywhere(task):
+            return BatchResult([], self.reported_threshold(task), 'not_noise', [])
+        result = self.solve(task)
         return replace(result, found=columns.in_frame(result.found))
+
+    def reported_threshold(self, task: Task) -> float:
+        """Return what the statistics of trajectories are compared with."""
+        return self.scale.statistic(self.model.value(task.paths.threshold), len(task.times))
+
+    def best_left(self, task: Task, largest: float) -> float:
+        """Return the statistic of the best path that was left, by the value of a search.
+
+        NaN where the search only says that there is none above the threshold.
+        """
+        if not 0 < largest or largest in (self.model.value(task.paths.threshold),
+                                          self.model.grid_level(task.paths.threshold)):
+            return float('nan')
+        return self.scale.statistic(largest, len(task.times))
+
+    def _passes_everywhere(self, task: Task) -> bool:
+        """Return whether most places pass the threshold, which no noise does."""
+        refiner = refiner_for(task.graph, task.measurement, task.times, task.weights, self.model,
+                              self.presence)
+        cost = self.presence.whole_cost(len(task.times)) if self.presence else 0.0
+        return passes_everywhere(task.search, refiner, task.paths, task.measurement, cost,
+                                 task.watch)
 
     @abstractmethod
     def solve(self, task: Task) -> BatchResult:

@@ -63,7 +63,7 @@ class TrackingPipeline:
         self._stitcher: Stitcher = (
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []
-        self._scale_is_known = options.noise != 'none'
+        self._scale_is_known = False
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
                 progress: Progress | None = None) -> float:
@@ -100,7 +100,7 @@ class TrackingPipeline:
         batch : FrameBatch
             Frames as they came.
         progress : callable, optional
-            Told of a calibration.
+            Told of a calibration, and of the search while it lasts.
 
         Returns
         -------
@@ -110,7 +110,8 @@ class TrackingPipeline:
         """
         _check(batch)
         prepared = prepare(batch, self._options, psf_of(self._options).width_px)
-        self._check_scale(prepared.frames[len(batch) // 2])
+        middle = prepared.frames[len(batch) // 2]
+        self._check_scale(middle)
         earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
         result = self._detector.detect(
             FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices),
@@ -123,8 +124,12 @@ class TrackingPipeline:
         trajectories = [trajectory for trajectory in trajectories
                         if np.isfinite(trajectory.positions).any()]
         self._before = self._stitcher.link(trajectories, period)
+        remarks = []
+        if result.status == 'not_noise':
+            remarks.append('frames pass the threshold nearly everywhere, as noise never does, and '
+                           f'are not searched: {self._what_to_set(middle)}')
         return DetectionResult(list(self._before), result.threshold, result.status,
-                               result.history, result.gap)
+                               result.history, result.gap, result.best_statistic, remarks=remarks)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
@@ -142,18 +147,22 @@ class TrackingPipeline:
         if self._scale_is_known:
             return
         self._scale_is_known = True
-        pixels = frame[np.isfinite(frame)]
-        if not len(pixels):
-            return
-        if np.iscomplexobj(pixels):
-            pixels = pixels.real * 2**0.5
-        middle = float(np.median(pixels))
-        spread = median_deviation(pixels - middle)
+        middle, spread = _middle_and_spread(frame)
         if max(spread, abs(middle)) > MOST_SPREAD:
             _LOG.warning(
-                'the pixels have a median of %.3g and a spread of %.3g, where noise=none takes a '
-                'background of 0 and a noise of 1: set noise=robust, and '
-                'background=temporal_median if the scene shows', middle, spread)
+                'the pixels have a median of %.3g and a spread of %.3g, where background=%s and '
+                'noise=%s should leave a median of 0 and a spread of 1: %s', middle, spread,
+                self._options.background, self._options.noise, self._what_to_set(frame))
+
+    def _what_to_set(self, frame: NDArray) -> str:
+        """Return which option to turn for a prepared frame that is no unit noise."""
+        options, wanted = self._options, []
+        shows_scene = options.noise != 'none' or abs(_middle_and_spread(frame)[0]) > MOST_SPREAD
+        if options.background == 'none' and shows_scene:
+            wanted.append('background=temporal_median')
+        if options.noise == 'none':
+            wanted.append('noise=robust')
+        return f'set {" and ".join(wanted) or "noise=map, or a larger threshold"}'
 
     def _compile(self, progress: Progress | None) -> None:
         """Run every kernel once, on a target bright enough to pass through all stages."""
@@ -174,6 +183,17 @@ class TrackingPipeline:
             progress('compiling', 0.5)
         frames[:, 0, 0] = np.nan
         detector.detect(batch)
+
+
+def _middle_and_spread(frame: NDArray) -> tuple[float, float]:
+    """Return the median and the robust deviation of pixels, of the real part of complex ones."""
+    pixels = frame[np.isfinite(frame)]
+    if not len(pixels):
+        return 0.0, 0.0
+    if np.iscomplexobj(pixels):
+        pixels = pixels.real * 2**0.5
+    middle = float(np.median(pixels))
+    return middle, median_deviation(pixels - middle)
 
 
 def _check(batch: FrameBatch) -> None:

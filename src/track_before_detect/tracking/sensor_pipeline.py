@@ -54,7 +54,7 @@ class SensorPipeline:
         self._before = self._stitcher.link(
             [self._on_plane(found, units, batch) for found in result.found])
         return DetectionResult(list(self._before), result.threshold, result.status,
-                               result.history, result.gap)
+                               result.history, result.gap, result.best_statistic)
 
     def _prepared(self, batch: FrameBatch) -> tuple[FrameBatch, NDArray, NDArray]:
         """Return frames of unit noise, the weight of each pixel, and the unit of amplitudes."""

@@ -44,11 +44,12 @@ class ConvexDetector(PathDetector):
         paths = task.paths
         refiner = self._refiner(task.graph, task.measurement, task.times, task.weights)
         result = pursue(task.search, refiner, paths, self._separation,
-                        PursuitSettings(self.options.continuation), self._start(task))
+                        PursuitSettings(self.options.continuation), self._start(task), task.watch)
         self._merge_duplicates(task, result.history)
-        threshold = self.scale.statistic(self.model.value(paths.threshold), len(task.times))
-        return BatchResult(self._collect(paths), threshold, result.status, result.history,
-                           result.gap)
+        return BatchResult(
+            self._collect(paths), self.reported_threshold(task),
+            task.watch.status(result.status), result.history, result.gap,
+            self.best_left(task, result.largest))
 
     def _merge_duplicates(self, task: Task, history: list[Step]) -> None:
         """Leave one path for each target, though it may look unlike the PSF.
@@ -60,7 +61,7 @@ class ConvexDetector(PathDetector):
             return
         paths, psf = task.paths, task.measurement
         widths = DuplicateSearch(task.graph, psf, task.times, task.weights, paths,
-                                 self.presence).merge()
+                                 self.presence, task.watch).merge()
         if not len(widths):
             return
         history.append(state_of(paths, 0.0))

@@ -31,6 +31,7 @@ from track_before_detect.solvers.convex.extended_target import (
     together,
 )
 from track_before_detect.solvers.convex.working_set import Source, WorkingSet
+from track_before_detect.solvers.watch import Watch
 
 # Fewer frames tell too little about a shape.
 LEAST_FRAMES = 8
@@ -59,13 +60,17 @@ class DuplicateSearch:
         As of :class:`ExtendedTargetFitter`.
     paths : WorkingSet
         The solution.
+    watch : Watch
+        Says when the time is up: what is not looked at by then stays.
     """
 
     def __init__(self, graph: StateGraph, measurement: MeasurementModel, times: NDArray,
-                 pixel_weights: NDArray, paths: WorkingSet, presence: Presence | None):
+                 pixel_weights: NDArray, paths: WorkingSet, presence: Presence | None,
+                 watch: Watch):
         self._fitter = ExtendedTargetFitter(graph, measurement, times, pixel_weights, paths.model,
                                             presence)
         self._paths = paths
+        self._watch = watch
         self._width = measurement.width_px
 
     def merge(self) -> NDArray[np.float64]:
@@ -82,6 +87,8 @@ class DuplicateSearch:
         left = np.array([paths.n_present(path) >= LEAST_FRAMES for path in range(len(paths))],
                         bool)
         for path in np.argsort(-np.linalg.norm(paths.amplitudes, axis=1)):
+            if self._watch.time_is_up():
+                break
             if not left[path]:
                 continue
             left[path] = False
@@ -117,7 +124,7 @@ class DuplicateSearch:
                 ) -> tuple[NDArray[np.int64], ExtendedTarget | None]:
         """Return as :meth:`_target_at` does, of some of these others."""
         paths = self._paths
-        while len(others):
+        while len(others) and not self._watch.time_is_up():
             members = np.append(path, others)
             with paths.without(*members) as frames:
                 extended = self._fitter.fit(frames, paths.positions[path], paths.costs[path],
@@ -189,6 +196,8 @@ class DuplicateSearch:
         dropped = []
         kept = around[np.argsort(-np.linalg.norm(paths.amplitudes[around], axis=1))]
         for path in kept[::-1]:
+            if self._watch.time_is_up():
+                break
             self._set(path, np.zeros_like(paths.amplitudes[path]))
             others = kept[kept != path]
             for _ in range(SWEEPS):

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from track_before_detect.solvers.convex.working_set import FIT_GAP, WorkingSet
 from track_before_detect.solvers.refine.refinement import PathRefiner
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
+from track_before_detect.solvers.watch import Watch
 from track_before_detect.types import Step
 
 StepT = TypeVar('StepT')
@@ -96,22 +97,26 @@ class PursuitResult:
     paths : WorkingSet
         Paths, amplitudes, residual.
     status : str
-        ``"converged"`` or ``"iteration_limit"``.
+        ``"converged"``, ``"iteration_limit"`` or ``"time_limit"``.
     history : list of Step
         One entry for each round.
     gap : float
         Duality gap at the end of the stage t = 1, NaN without one.
+    largest : float
+        Largest value of any path of the grid on the residual that was searched last.
     """
 
     paths: WorkingSet
     status: str
     history: list[Step]
     gap: float
+    largest: float
 
 
 def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separation: float,
-           settings: PursuitSettings, start: Sequence[FoundPath] = ()) -> PursuitResult:
-    """Find all paths jointly.
+           settings: PursuitSettings, start: Sequence[FoundPath] = (),
+           watch: Watch | None = None) -> PursuitResult:
+    """Find all paths jointly, or as many as there is time for.
 
     Parameters
     ----------
@@ -127,14 +132,18 @@ def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separati
         Schedule and tolerances.
     start : sequence of FoundPath
         Paths that are tried before the first search, in this order.
+    watch : Watch, optional
+        Says when the time is up; it never is unless given.
     """
+    watch = watch or Watch()
     history: list[Step] = []
     status = 'converged'
-    gap = float('nan')
+    gap = largest = float('nan')
     for number, t_convex in enumerate(settings.continuation):
         last = number == len(settings.continuation) - 1
         tolerance = settings.tolerance if last else settings.stage_tolerance
-        stage = _Stage(search, refiner, paths, separation, t_convex, last)
+        watch.begin_stage(number, len(settings.continuation))
+        stage = _Stage(search, refiner, paths, separation, t_convex, last, watch)
         if number == 0:
             stage.begin(start)
         if number == 0 or last or t_convex == 1.0:
@@ -143,9 +152,38 @@ def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separati
             finished = stage.polish(history)
         if not finished:
             status = 'iteration_limit'
+        if watch.stopped:
+            break
         if t_convex == 1.0:
             gap = duality_gap(paths, largest)
-    return PursuitResult(paths, status, history, gap)
+    if watch.stopped and settings.continuation[-1] < 1.0:
+        keep_what_passes(paths)
+        history.append(state_of(paths, 0.0))
+    return PursuitResult(paths, watch.status(status), history, gap, largest)
+
+
+def keep_what_passes(paths: WorkingSet) -> None:
+    """Leave the paths that pass their penalties beside each other, with the amplitudes of t = 0.
+
+    What is at hand when the time is up may be shrunk, and several paths for one target. The
+    strongest are taken first, as the plain greedy method does, then all are fitted in turn until
+    each of them passes: without a search, and without a fit of several paths, in a time that is
+    bounded by the number of paths.
+    """
+    order = np.argsort(-np.linalg.norm(paths.amplitudes, axis=1))
+    paths.assign(order, np.zeros_like(paths.amplitudes))
+    while len(paths):
+        for path in order:
+            passes = paths.statistic(path) > paths.penalties[path]
+            best = paths.best(path) if passes else np.zeros_like(paths.amplitudes[path])
+            paths.assign(np.array([path]), best[None])
+        empty = np.flatnonzero(~np.any(paths.amplitudes, axis=1))
+        if not len(empty):
+            break
+        paths.remove(empty)
+        # The weakest first: they are what the others may explain.
+        order = np.argsort(np.linalg.norm(paths.amplitudes, axis=1))
+    paths.refresh()
 
 
 def duality_gap(paths: WorkingSet, largest: float) -> float:
@@ -186,7 +224,7 @@ class _Stage:
     """The pursuit at one value of t."""
 
     def __init__(self, search: PathSearch, refiner: PathRefiner, paths: WorkingSet,
-                 separation: float, t_convex: float, last: bool):
+                 separation: float, t_convex: float, last: bool, watch: Watch):
         self._search = search
         self._refiner = refiner
         self._paths = paths
@@ -201,6 +239,7 @@ class _Stage:
         else:
             self._fit_gap = FIT_GAP if last else STAGE_GAP * paths.threshold**2
         self._last = last
+        self._watch = watch
         self._most_passes = MOST_PASSES if last and t_convex < 1 else 1
         self._cut_short = False
         # Ids of the paths that took the place of others, and moved for it, in this pass.
@@ -234,11 +273,14 @@ class _Stage:
             frozen = self._certified and number >= MOVING_ROUNDS
             fitted = self._fit_all() if frozen else self._improve()
             paths.refresh()
+            if self._watch.time_is_up():
+                return largest, False
             separation = SIDE_BY_SIDE * self._separation if frozen else self._separation
             largest, found = self._search.best_paths(
                 paths.residual, level, separation, self._is_new(separation), MOST_NEW_PATHS)
             violation = paths.model.from_value(largest) / paths.threshold - 1
             history.append(state_of(paths, self._t, violation))
+            self._watch.end_round()
             if not found:
                 return largest, fitted and largest <= bound
             if len(paths) >= MOST_PATHS:
@@ -267,12 +309,12 @@ class _Stage:
         return fitted
 
     def _while_affordable(self, steps: Iterable[StepT]) -> Iterator[StepT]:
-        """Yield what is to be fitted next until the fits of the batch have taken enough.
+        """Yield what is to be fitted next until the fits of the batch have taken enough, or time.
 
         Every loop that fits goes through here, so that a stage which has to end runs out of steps.
         """
         for step in steps:
-            if self._paths.work > MOST_WORK:
+            if self._paths.work > MOST_WORK or self._watch.time_is_up():
                 self._cut_short = True
                 return
             yield step
@@ -304,7 +346,7 @@ class _Stage:
             return False
         members = paths.neighbours(added)
         before = paths.objective_of(members, self._t)
-        after, amplitudes, _ = paths.fitted(members, self._t, self._fit_gap)
+        after, amplitudes, _ = self._fitted(members)
         if after < before - LEAST_GAIN:
             paths.assign(members, amplitudes)
             return True
@@ -373,9 +415,13 @@ class _Stage:
             if len(others):
                 self._fit(others - (others > weakest))
 
+    def _fitted(self, members: NDArray) -> tuple[float, NDArray, bool]:
+        """Return as :meth:`WorkingSet.fitted` does, at this stage."""
+        return self._paths.fitted(members, self._t, self._fit_gap, self._watch)
+
     def _fit(self, members: NDArray) -> bool:
         """Fit some amplitudes, all others fixed; return whether that converged."""
-        _, amplitudes, converged = self._paths.fitted(members, self._t, self._fit_gap)
+        _, amplitudes, converged = self._fitted(members)
         self._paths.assign(members, amplitudes)
         return converged
 
@@ -409,7 +455,7 @@ class _Stage:
             return False
         before = paths.objective_of(members, self._t)
         others = members[members != path]
-        after, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
+        after, amplitudes, _ = self._fitted(others)
         if after < before - LEAST_GAIN:
             paths.assign(others, amplitudes)
             paths.remove(np.array([path]))
@@ -425,10 +471,10 @@ class _Stage:
         kept = (paths.amplitudes.copy(), paths.positions[other], paths.costs[other])
         others = members[members != path]
         paths.assign(np.array([path]), np.zeros((1, paths.amplitudes.shape[1])))
-        _, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
+        _, amplitudes, _ = self._fitted(others)
         paths.assign(others, amplitudes)
         moved = self._refine(other)
-        after, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
+        after, amplitudes, _ = self._fitted(others)
         margin = max(MERGING_GAIN - NOISE_PER_FRAME * (len(paths.frames) - 1), 0.0)
         if after < before - LEAST_GAIN - margin * (1 - self._t)**2:
             paths.assign(others, amplitudes)

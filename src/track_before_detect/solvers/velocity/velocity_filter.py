@@ -37,6 +37,7 @@ from track_before_detect.solvers.batch_detector import (
 from track_before_detect.solvers.calibration.noise_study import CROP_PX, NoiseStudy
 from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.velocity.shift_and_stack import VelocityStack
+from track_before_detect.solvers.watch import Watch
 from track_before_detect.types import FrameBatch, Progress, Step
 
 _LOG = logging.getLogger(__name__)
@@ -152,19 +153,22 @@ class VelocityFilterDetector(BatchDetector):
         grid = self.grid(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
         stack = self._stack(grid, shape, usable_cores())
-        return self._solve(_Batch(frames, weights, self.psf, stack, self._signed), threshold)
+        return self._solve(_Batch(frames, weights, self.psf, stack, self._signed), threshold,
+                           Watch(self.options.max_time_s, progress))
 
     def _stack(self, grid: VelocityGrid, shape: tuple[int, int],
                n_threads: int) -> VelocityStack:
         return VelocityStack(grid, shape, LEAST_BATCH_SHARE * len(grid.times), self._signed,
                              n_threads)
 
-    def _solve(self, batch: _Batch, threshold: float) -> BatchResult:
+    def _solve(self, batch: _Batch, threshold: float, watch: Watch) -> BatchResult:
         """Take lines off the frames until none is left."""
         found: list[_Line] = []
         history = []
         status = 'iteration_limit'
         for _ in range(MOST_ROUNDS):
+            if watch.time_is_up():
+                break
             largest, new = self._round(batch, threshold, found)
             history.append(Step(0.0, math.nan, len(found), largest / threshold - 1))
             if not new:
@@ -177,7 +181,7 @@ class VelocityFilterDetector(BatchDetector):
             [FoundTrajectory(line.positions,
                              np.where(line.inside, batch.whole_norm * line.amplitude, np.nan),
                              line.statistic, line.snr) for line in found],
-            threshold, status, history, math.nan)
+            threshold, watch.status(status), history)
 
     def _round(self, batch: _Batch, threshold: float,
                found: list[_Line]) -> tuple[float, list[_Line]]:
