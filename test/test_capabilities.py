@@ -62,6 +62,7 @@ CASES = {
     'continuation': [Case((1.0,))],
     'batch_length': [Case(5)],
     'hop': [Case(1, {'batch_length': 5})],
+    'max_time_s': [Case(1e-9)],
     'registration': [Case(name, {'threshold': 13.0}, 'panning')
                      for name in ('translation', 'affine', 'homography')],
     'background': [Case(name, {'threshold': 13.0}, 'panning') for name in (

@@ -190,7 +190,7 @@ COMBINATIONS = (
                          lambda options: (options.amplitudes == 'complex'
                                           and options.amplitude_model == 'constant'))),
     Limit('variance', 'both say how much noise a pixel has', when=_with('noise', 'map')),
-    Limit('hop', 'how far batches lie apart is said together with how long they are', when=Condition(
+    Limit('hop', 'it goes with the length that is given to batches', when=Condition(
         'without batch_length', lambda options: options.batch_length is None)),
     Limit(_STREAKS, 'their columns are no places along which a target is smeared',
           when=_with('motion_model', 'range_doppler', 'range_bearing')),

@@ -23,7 +23,6 @@ from track_before_detect.types import DetectionResult, FrameBatch
 
 logger = logging.getLogger(__name__)
 
-DEFAULT_BATCH_LENGTH = 20
 # Enough frames to know their interval before the search is prepared for it.
 FRAMES_TO_LEARN = 3
 AUTOMATIC_FLUSH_INTERVALS = 5

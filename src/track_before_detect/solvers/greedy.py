@@ -50,5 +50,5 @@ class GreedyDetector(PathDetector):
                 np.where(present, paths.target_amplitudes(added), np.nan),
                 self.scale.statistic(path.value, len(seen)), model.snr(seen[visible])))
         found.sort(key=lambda trajectory: -trajectory.statistic)
-        return BatchResult(found, self.reported_threshold(task), task.watch.status(status), history,
-                           best_statistic=self.best_left(task, largest))
+        return BatchResult(found, self.reported_threshold(task), task.watch.status(status),
+                           history, best_statistic=self.best_left(task, largest))

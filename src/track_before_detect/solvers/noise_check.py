@@ -9,22 +9,37 @@ place, and come to no end.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from track_before_detect.models.measurement.base import MeasurementModel
+from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import PathRefiner
 from track_before_detect.solvers.search.path_search import PathSearch
 from track_before_detect.solvers.watch import Watch
 
 # Places that are looked at, and the share of them that has to pass.
-N_PLACES = 400
+N_PLACES = 100
 MOST = 0.5
 # Targets that are taken off before the second look: at least so many, and as many as would cover
 # this share of the plane, each as wide as new paths of a search are apart, in widths of the PSF.
 LEAST_TARGETS = 8
 COVERED = 0.25
 ACROSS = 6.0
+
+
+def threshold_bound(graph: StateGraph, grid_shape: tuple[int, int], rate: float) -> float:
+    """Return what no calibrated threshold exceeds.
+
+    The norm of T normal numbers exceeds sqrt(T) + s with a probability below exp(-s^2 / 2), and
+    the probability that that of any path does is at most the sum over all paths.
+    """
+    n_turns = (2 * graph.reach + 1)**2
+    n_paths = (math.log(math.prod(grid_shape) * graph.n_velocities)
+               + (graph.n_segments - 1) * math.log(n_turns))
+    return math.sqrt(graph.n_frames) + math.sqrt(2 * (n_paths - math.log(rate)))
 
 
 def passes_everywhere(search: PathSearch, refiner: PathRefiner, paths: WorkingSet,

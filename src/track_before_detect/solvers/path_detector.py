@@ -29,7 +29,7 @@ from track_before_detect.solvers.calibration.path_noise import path_noise_study
 from track_before_detect.solvers.calibration.threshold import threshold_for
 from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
-from track_before_detect.solvers.noise_check import passes_everywhere
+from track_before_detect.solvers.noise_check import passes_everywhere, threshold_bound
 from track_before_detect.solvers.path_statistic import PathStatistic
 from track_before_detect.solvers.refine.refinement import refiner_for
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
@@ -100,6 +100,7 @@ class PathDetector(BatchDetector):
         self.scale = PathStatistic(self.model, self.presence)
         self._graphs = GraphBuilder(options, self.model.turn_cost, self.presence)
         self._search: tuple[tuple, PathSearch] | None = None
+        self._has_searched = False
 
     def graph(self, stamps: NDArray, shape: tuple[int, int]) -> StateGraph:
         """Return the paths that are searched on a plane (H, W) in frames taken at ``stamps``."""
@@ -118,18 +119,28 @@ class PathDetector(BatchDetector):
         measurement = self._measurement(stamps, batch.frame_indices)
         shape = measurement.plane_shape(batch.frames.shape[1:])
         graph = self._graph(stamps, measurement, shape)
-        threshold = self._threshold(stamps, measurement, shape, progress)
-        watch = Watch(self.options.max_time_s, progress)
         columns = columns_of(self.options, measurement, shape[1], graph)
         frames, weights = self._searched(columns.strip(batch.frames), weights if weights is None
                                          else columns.strip(np.asarray(weights)))
         search = self._path_search(graph, measurement, columns.plane(shape), weights)
         if weights is None:
             weights = np.zeros((0, 0, 0), np.float32)
-        paths = WorkingSet(frames, weights, measurement,
-                           self.scale.penalty(threshold, len(frames)), self.model, columns.period)
-        task = Task(graph, search, paths, self._graphs.times(stamps, measurement), weights,
-                    measurement, columns.on_strip(earlier), watch)
+
+        def task_at(threshold: float) -> Task:
+            paths = WorkingSet(frames, weights, measurement, self.scale.penalty(
+                threshold, len(frames)), self.model, columns.period)
+            return Task(graph, search, paths, self._graphs.times(stamps, measurement), weights,
+                        measurement, columns.on_strip(earlier),
+                        Watch(self.options.max_time_s, progress))
+
+        if self.options.threshold is None and not self._has_searched:
+            # A calibration, which may take long, would be for nothing.
+            task = task_at(threshold_bound(graph, search.grid_shape,
+                                           self.options.false_alarm_rate))
+            if self._passes_everywhere(task):
+                return BatchResult([], self.reported_threshold(task), 'not_noise', [])
+        task = task_at(self._threshold(stamps, measurement, shape, progress))
+        self._has_searched = True
         if self._passes_everywhere(task):
             return BatchResult([], self.reported_threshold(task), 'not_noise', [])
         result = self.solve(task)

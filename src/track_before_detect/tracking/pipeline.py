@@ -56,6 +56,8 @@ class TrackingPipeline:
         The detector that the options name unless given.
     """
 
+    stamps_may_repeat = False
+
     def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None,
                  detector: BatchDetector | None = None):
         self._options = options
@@ -157,8 +159,8 @@ class TrackingPipeline:
     def _what_to_set(self, frame: NDArray) -> str:
         """Return which option to turn for a prepared frame that is no unit noise."""
         options, wanted = self._options, []
-        shows_scene = options.noise != 'none' or abs(_middle_and_spread(frame)[0]) > MOST_SPREAD
-        if options.background == 'none' and shows_scene:
+        middle, spread = _middle_and_spread(frame)
+        if options.background == 'none' and (options.noise != 'none' or abs(middle) > 0.5 * spread):
             wanted.append('background=temporal_median')
         if options.noise == 'none':
             wanted.append('noise=robust')

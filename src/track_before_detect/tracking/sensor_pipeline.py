@@ -35,6 +35,8 @@ class SensorPipeline:
         The detector that the options name unless given.
     """
 
+    stamps_may_repeat = True
+
     def __init__(self, array: SensorArray, options: DetectorOptions,
                  detector: PathDetector | None = None):
         check_options(options, several_sensors=True)
