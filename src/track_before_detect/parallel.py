@@ -87,12 +87,12 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item],
                 if while_waiting is not None:
                     while_waiting()
                 continue
+            except BaseException:
+                _left.extend(threads)
+                raise
             if error is not None:
                 raise error
             results[number] = result
-    except (KeyboardInterrupt, SystemExit):
-        _left.extend(threads)
-        raise
     finally:
         ended.set()
     return [results[number] for number in range(len(items))]

@@ -230,7 +230,7 @@ def _run(arguments: Namespace, status: StatusLine) -> int:
               f'{recording.shape[1]} px', flush=True)
         heard = _play(arguments, options, Path(source), recording, output, status)
         trajectories = joined_batches(heard.batches, recording.stamps,
-                                      options.get('batch_length', DEFAULT_LENGTH))
+                                      DetectorOptions.from_mapping(options))
         truth = recording.truth
         middle = len(recording) // 2
         overlay, table = output / 'overlay.png', output / 'trajectories.csv'
@@ -408,7 +408,7 @@ def _frame_numbers(stamps_s: NDArray[np.float64], recorded_s: NDArray[np.float64
 
 
 def joined_batches(batches: Iterable[tuple[float, NDArray]], recorded_s: NDArray[np.float64],
-                   length: int) -> list[Trajectory]:
+                   options: DetectorOptions) -> list[Trajectory]:
     """Return what was found in a recording, one trajectory per id, as ``tbd detect`` does.
 
     Parameters
@@ -417,10 +417,11 @@ def joined_batches(batches: Iterable[tuple[float, NDArray]], recorded_s: NDArray
         As in :class:`Heard`.
     recorded_s : array, shape (T,)
         Stamps of the recording.
-    length : int
-        Frames of a batch.
+    options : DetectorOptions
+        Of the node.
     """
-    joined = JoinedTrajectories(recorded_s)
+    joined = JoinedTrajectories(recorded_s, options.psf_sigma_px)
+    length = options.batch_length or DEFAULT_LENGTH
     for newest_s, points in batches:
         [newest] = _frame_numbers(np.array([newest_s]), recorded_s)
         frames = _frame_numbers(points['t'], recorded_s)

@@ -160,9 +160,10 @@ class TrackingPipeline:
         """Return which option to turn for a prepared frame that is no unit noise."""
         options, wanted = self._options, []
         middle, spread = _middle_and_spread(frame)
-        if options.background == 'none' and (options.noise != 'none' or abs(middle) > 0.5 * spread):
+        scaled = options.noise != 'none'
+        if options.background == 'none' and (scaled or abs(middle) > 0.5 * spread):
             wanted.append('background=temporal_median')
-        if options.noise == 'none':
+        if not scaled:
             wanted.append('noise=robust')
         return f'set {" and ".join(wanted) or "noise=map, or a larger threshold"}'
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError
+from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.timestamps import increasing_frames, median_interval, pieces
 from track_before_detect.tracking.batcher import hop_of
@@ -132,7 +133,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     for remark in remarks:
         # Said before the search: it may fail for the same reason.
         _LOG.warning('%s', remark)
-    joined = JoinedTrajectories(stamps)
+    joined = JoinedTrajectories(stamps, psf_of(options).width_px)
     history: list[Step] = []
     ranks = list(STATUSES)
     rank, threshold, gap, best_statistic = 0, 0.0, float('nan'), float('nan')
