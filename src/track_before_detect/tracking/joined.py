@@ -62,7 +62,7 @@ class JoinedTrajectories:
         """Return whether a trajectory is with another one in most of its frames."""
         distance = np.hypot(*(one.positions - other.positions).T)
         n_near = np.count_nonzero(distance < self._width_px)
-        return n_near > 0.5 * np.count_nonzero(np.isfinite(one.positions[:, 0]))
+        return bool(n_near > 0.5 * np.count_nonzero(np.isfinite(one.positions[:, 0])))
 
     def _join(self, parts: list[_Part]) -> Trajectory:
         n_frames = len(self._stamps)

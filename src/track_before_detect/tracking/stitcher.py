@@ -27,8 +27,8 @@ class Stitcher:
 
     Two trajectories are one target when their mean distance over the frames both saw is within
     the gate; each frame counts by the amplitudes there, for where a target is not yet, or no
-    longer, its path says nothing of it. Where they saw no frame in common the older one is carried on at its last velocity,
-    with a gate that grows by one sigma of the PSF for each frame between.
+    longer, its path says nothing of it. Where they saw no frame in common the older one is carried
+    on at its last velocity, with a gate that grows by one sigma of the PSF for each frame between.
 
     Parameters
     ----------
