@@ -130,7 +130,7 @@ def observed(detector, scene, options, search=one_sensor):
         raise
     except TbdError as error:
         return type(error).__name__
-    return (result.threshold, result.n_batches, [
+    return (result.threshold, result.n_batches, result.status, [
         (trajectory.statistic, trajectory.snr, trajectory.positions.tolist(),
          trajectory.amplitudes.tolist()) for trajectory in result.trajectories])
 

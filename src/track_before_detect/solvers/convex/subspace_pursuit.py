@@ -59,6 +59,8 @@ NOISE_PER_FRAME = 0.5
 MOVING_ROUNDS = 3
 # Share of the separation of new paths at which they are added then, for neighbours are wanted.
 SIDE_BY_SIDE = 0.3
+# Most overlapping paths that are fitted together when the time is up.
+QUICKLY_FITTED = 30
 # Duality gap of the amplitudes of a convex solution that is the result.
 CERTIFIED_GAP = 1e-9
 # The same for a stage before the last, as a share of what a path has to gain: it only starts the
@@ -166,23 +168,27 @@ def keep_what_passes(paths: WorkingSet) -> None:
     """Leave the paths that pass their penalties beside each other, with the amplitudes of t = 0.
 
     What is at hand when the time is up may be shrunk, and several paths for one target. The
-    strongest are taken first, as the plain greedy method does, then all are fitted in turn until
-    each of them passes: without a search, and without a fit of several paths, in a time that is
-    bounded by the number of paths.
+    strongest are taken first, as the plain greedy method does, then the weakest that do not pass
+    beside the others are left out until each does: without a search and without a fit of many
+    paths, in a time that is bounded by their number.
     """
     order = np.argsort(-np.linalg.norm(paths.amplitudes, axis=1))
     paths.assign(order, np.zeros_like(paths.amplitudes))
-    while len(paths):
-        for path in order:
-            passes = paths.statistic(path) > paths.penalties[path]
-            best = paths.best(path) if passes else np.zeros_like(paths.amplitudes[path])
-            paths.assign(np.array([path]), best[None])
-        empty = np.flatnonzero(~np.any(paths.amplitudes, axis=1))
-        if not len(empty):
+    for path in order:
+        if paths.statistic(path) > paths.penalties[path]:
+            paths.assign(np.array([path]), paths.best(path)[None])
+    while True:
+        paths.remove(np.flatnonzero(~np.any(paths.amplitudes, axis=1)))
+        for members in paths.clusters():
+            if len(members) <= QUICKLY_FITTED:
+                paths.assign(members, paths.fitted(members, 0.0)[1])
+        n_kept = len(paths)
+        for path in np.argsort(np.linalg.norm(paths.amplitudes, axis=1)):
+            if paths.statistic(path) <= paths.penalties[path]:
+                paths.assign(np.array([path]), np.zeros_like(paths.amplitudes[[path]]))
+                n_kept -= 1
+        if n_kept == len(paths):
             break
-        paths.remove(empty)
-        # The weakest first: they are what the others may explain.
-        order = np.argsort(np.linalg.norm(paths.amplitudes, axis=1))
     paths.refresh()
 
 
