@@ -274,6 +274,9 @@ class StreamWorker:
     def _progress(self, label: str, done: float) -> None:
         if self.queue.closed:
             raise _StopRequestedError
+        if label == 'searching':
+            # A state of its own for each batch would fill the log.
+            return
         self._set_state(label, f'{100.0 * done:.0f} %')
 
     def _reconfigure(self, options: DetectorOptions, settings: StreamSettings) -> None:
