@@ -66,6 +66,7 @@ CASES = {
                     for name in ('magnitude', 'power', 'decibels', 'auto')],
     'bad_frames': [Case('find', scene='blank')],
     'bad_pixels': [Case('find', {'noise': 'robust'}, 'hot')],
+    'max_time_s': [Case(1e-9)],
     'registration': [Case(name, {'threshold': 13.0}, 'panning')
                      for name in ('translation', 'affine', 'homography')],
     'background': [Case(name, {'threshold': 13.0}, 'panning') for name in (
@@ -140,7 +141,7 @@ def observed(detector, scene, options, search=one_sensor):
         raise
     except TbdError as error:
         return type(error).__name__
-    return (result.threshold, result.n_batches, [
+    return (result.threshold, result.n_batches, result.status, [
         (trajectory.statistic, trajectory.snr, trajectory.positions.tolist(),
          trajectory.amplitudes.tolist()) for trajectory in result.trajectories])
 

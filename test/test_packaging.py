@@ -53,14 +53,14 @@ ALLOWED = {
 # The same within a room, for its folders and for files that lie beside them. What is not listed
 # here, such as the files at the top of the solvers, binds the others together.
 TOOLS = {'search', 'refine', 'calibration', 'fit'}
-FRAME = {'batch_detector', 'pixel_statistics'}
+FRAME = {'batch_detector', 'pixel_statistics', 'watch'}
 WITHIN = {
     'solvers': {
         'search': {'batch_detector'},
         'refine': set(),
         'fit': set(),
         'calibration': {'path_statistic', 'search'},
-        'convex': TOOLS | {'batch_detector', 'path_detector', 'path_statistic'},
+        'convex': TOOLS | {'batch_detector', 'path_detector', 'path_statistic', 'watch'},
         'clutter': TOOLS | {'batch_detector', 'path_detector'},
         'given_paths': set(),
         'ring': FRAME | {'calibration'},

@@ -6,7 +6,12 @@ import time
 
 import pytest
 
-from track_before_detect.parallel import at_most_cores, map_in_threads, usable_cores
+from track_before_detect.parallel import (
+    at_most_cores,
+    exit_at_once_is_needed,
+    map_in_threads,
+    usable_cores,
+)
 
 
 def test_results_come_in_the_order_of_the_items():
@@ -55,5 +60,15 @@ def test_an_interrupt_does_not_wait_for_what_is_running():
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
+        assert exit_at_once_is_needed()
         released.set()
     assert time.monotonic() - start < 5
+    time.sleep(0.1)
+    assert not exit_at_once_is_needed()
+
+
+def test_time_is_shown_while_one_waits():
+    shown = []
+    assert map_in_threads(lambda seconds: time.sleep(seconds), [2.5],
+                          lambda: shown.append(time.monotonic())) == [None]
+    assert len(shown) == 2

@@ -113,6 +113,8 @@ _NO_SCHEDULE = Limit('continuation', 'only convex goes from a convex objective t
                      'paths')
 _NO_STREAKS = Limit('exposure_s', 'it takes an exposure for a moment; convex and greedy search '
                     'streaks')
+_NOT_STOPPED = Limit('max_time_s', 'its compiled search of a batch ends by itself, after as many '
+                     'targets as a batch may hold')
 _WHOLE_BATCH = Limit('presence', 'it follows a target through the whole batch')
 _ANY_MOTION = 'it bounds the speed and nothing else'
 _BOUNDED_SPEED = (
@@ -141,10 +143,11 @@ CAPABILITIES = (
          _NO_SCHEDULE, _ONE_DIRECTION_SET)),
     Capability(
         ('mt_dp',), 'dynamic programming with target cancellation: Guo et al. 2018',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _NO_SCHEDULE, _ONE_DIRECTION_SET)),
+        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _NO_SCHEDULE, _NOT_STOPPED,
+         _ONE_DIRECTION_SET)),
     Capability(
         ('pc_dp',), 'the same for each sector of directions at the same time',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _NO_SCHEDULE)),
+        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _NO_SCHEDULE, _NOT_STOPPED)),
     Capability(
         ('velocity_filter',), 'shift-and-stack along straight lines',
         (_NO_STREAKS,
@@ -191,7 +194,7 @@ COMBINATIONS = (
     *(Limit(name, 'the strongest other paths of the batch are the threshold', when=_CLUTTER)
       for name in ('presence', 'amplitude_model', 'threshold', 'motion_model', 'exposure_s')),
     Limit('variance', 'both say how much noise a pixel has', when=_with('noise', 'map')),
-    Limit('hop', 'the whole recording is one batch', when=Condition(
+    Limit('hop', 'it goes with the length that is given to batches', when=Condition(
         'without batch_length', lambda options: options.batch_length is None)),
     Limit(_STREAKS, 'their columns are no places along which a target is smeared',
           when=_with('motion_model', 'range_doppler', 'range_bearing')),

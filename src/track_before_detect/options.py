@@ -124,7 +124,9 @@ class DetectorOptions:
         'alone the combinatorial one from nothing.',
         kind='numbers', minimum=0.0, maximum=1.0)
     batch_length: int | None = declared(
-        None, 'Frames searched together; automatic is the whole recording, and 20 in the node.',
+        None, 'Frames searched together; automatic is 20 in the node, and in tbd detect for a '
+        'recording of more than 40 frames. A shorter one, and in Python all frames of a call, are '
+        'one batch.',
         kind='integer', unit='frames', minimum=2, optional=True)
     hop: int | None = declared(
         None, 'Frames from the start of one batch to the next; automatic is half a batch.',
@@ -141,6 +143,12 @@ class DetectorOptions:
     bad_pixels: str = declared(
         'none', 'Whether rows of telemetry, burnt-in symbols, saturated areas, dead and hot '
         'pixels are found, masked and named.', kind='text', choices=('none', 'find'))
+    max_time_s: float | None = declared(
+        None, 'Time that the search of a batch may take, calibration and preprocessing not '
+        'counted; when it is up, what was found by then is returned with the status time_limit. '
+        'It is looked at between the steps of the search, so that one over all paths is never '
+        'left halfway. Automatic is no limit.', kind='number', unit='s', above=0.0,
+        optional=True)
     registration: str = declared(
         'none', 'How frames are aligned before the search: by a shift, or also by a turn and a '
         'zoom (affine) and a slope of the scene (homography).', kind='text',

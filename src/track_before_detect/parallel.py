@@ -13,6 +13,9 @@ _Item = TypeVar('_Item')
 _Result = TypeVar('_Result')
 
 _limit = threading.local()
+WAITING_PERIOD_S = 1.0
+# Threads that an interrupt left running.
+_left: list[threading.Thread] = []
 
 
 def usable_cores() -> int:
@@ -38,11 +41,20 @@ def at_most_cores(most: int) -> Iterator[None]:
             _limit.most = before
 
 
-def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item]) -> list[_Result]:
+def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item],
+                   while_waiting: Callable[[], None] | None = None) -> list[_Result]:
     """Return the results for all items, a thread on each core; an error ends it at once.
 
     An interrupt (Ctrl-C) does so, too: a pool of threads would first wait for what is running,
-    and once more when the interpreter exits.
+    and once more when the interpreter exits. Compiled loops cannot be left otherwise.
+
+    Parameters
+    ----------
+    work : callable
+        Run for each item, in another thread.
+    items : sequence
+    while_waiting : callable, optional
+        Called every second in this thread.
     """
     waiting: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()
     for pair in enumerate(items):
@@ -62,15 +74,33 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item]) -> 
                 done.put((number, None, error))
                 return
 
-    for _ in range(min(usable_cores(), len(items))):
-        threading.Thread(target=run, daemon=True).start()
+    threads = [threading.Thread(target=run, daemon=True)
+               for _ in range(min(usable_cores(), len(items)))]
+    for thread in threads:
+        thread.start()
     results: dict[int, _Result] = {}
     try:
         while len(results) < len(items):
-            number, result, error = done.get()
+            try:
+                number, result, error = done.get(timeout=while_waiting and WAITING_PERIOD_S)
+            except queue.Empty:
+                if while_waiting is not None:
+                    while_waiting()
+                continue
+            except BaseException:
+                _left.extend(threads)
+                raise
             if error is not None:
                 raise error
             results[number] = result
     finally:
         ended.set()
     return [results[number] for number in range(len(items))]
+
+
+def exit_at_once_is_needed() -> bool:
+    """Return whether threads that an interrupt left are still running.
+
+    Leaving Python while one of them compiles would crash it.
+    """
+    return any(thread.is_alive() for thread in _left)

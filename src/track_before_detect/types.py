@@ -13,6 +13,16 @@ Progress = Callable[[str, float], None]
 # Trajectories of a result that are printed, the best first.
 SHOWN_TRAJECTORIES = 10
 
+# How a search may end, and what that means; the later ones leave more to be wished.
+STATUSES = {
+    'converged': 'no path is left that passes the threshold',
+    'iteration_limit': 'left before its end, after 500 trajectories or too many rounds: more may '
+                       'be there, and some may be false',
+    'time_limit': 'left when max_time_s was up: more may be there, and some may be false',
+    'not_noise': 'not searched: the frames pass the threshold nearly everywhere, as noise never '
+                 'does',
+}
+
 
 @dataclass(frozen=True)
 class FrameBatch:
@@ -152,17 +162,21 @@ class DetectionResult:
     threshold : float
         Value the statistic of a trajectory had to pass.
     status : str
-        ``"converged"``, or ``"iteration_limit"`` when a batch was left before the end was
-        reached: after 500 trajectories or too many rounds.
+        One of :data:`STATUSES`; over several batches the one that is furthest down there.
     history : list of Step
         Progress of the solver, batch after batch.
     gap : float
         Duality gap of the convex stage (t = 1), absolute; the largest of all batches; NaN when no
         such stage was run.
+    best_statistic : float
+        Largest statistic of any path that is not among the trajectories, on what these leave of
+        the frames, by the last search: how far below the threshold the next one is. The largest
+        of all batches; NaN where the detector does not know it.
     n_batches : int
         Batches that were searched.
     remarks : list of str
-        What was done with frames that could not be searched as they came, a sentence each.
+        What was done with frames that could not be searched as they came, and what to set where
+        they are not the noise that the options say, a sentence each.
     rejected : list of Trajectory
         Candidates that are no target, each with its ``reason``, where the detector looks for
         reasons (``calibration=clutter``): id 0.
@@ -173,6 +187,7 @@ class DetectionResult:
     status: str = 'converged'
     history: list[Step] = field(default_factory=list)
     gap: float = float('nan')
+    best_statistic: float = float('nan')
     n_batches: int = 1
     remarks: list[str] = field(default_factory=list)
     rejected: list[Trajectory] = field(default_factory=list)

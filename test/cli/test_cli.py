@@ -8,6 +8,7 @@ from pathlib import Path
 import signal
 import subprocess
 import sys
+import time
 import types
 
 import numpy as np
@@ -18,6 +19,7 @@ from track_before_detect.cli.console import Progress
 from track_before_detect.options import describe
 from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.simulation.scenarios import SCENARIOS
+from track_before_detect.simulation.sensor import add_target
 from track_before_detect.types import DetectionResult, Trajectory
 
 CONFIG = Path(__file__).parents[2] / 'config' / 'detector.param.yaml'
@@ -339,6 +341,90 @@ def test_failure_while_writing_keeps_the_results_of_the_run_before(
     stand_in.trajectories = 1
     assert run('detect', recording_file, '--output', output) == 2
     assert {file.name: file.read_bytes() for file in output.iterdir()} == before
+
+
+def target_of_some_frames(path, n_frames, seen, amplitude=6.0):
+    """Write noise with a target in the frames ``seen``."""
+    frames = np.random.default_rng(1).standard_normal((n_frames, 24, 40)).astype(np.float32)
+    for t in seen:
+        add_target(frames[t], 8 + 0.3 * (t - seen[0]), 12.0, 1.0, amplitude)
+    np.savez(path, frames=frames, fps=25)
+
+
+@pytest.mark.parametrize(('n_frames', 'given', 'n_batches'), [
+    (40, [], 1), (80, [], 7), (80, ['--set', 'batch_length=80'], 1),
+    (80, ['--set', 'batch_length=40', '--set', 'hop=40'], 2)])
+def test_a_long_recording_is_searched_in_batches(tmp_path, n_frames, given, n_batches):
+    target_of_some_frames(tmp_path / 'a.npz', n_frames, range(n_frames))
+    assert run('detect', tmp_path / 'a.npz', '--no-overlay', '--output', tmp_path / 'out',
+               '--set', 'threshold=13', *given) == 0
+    summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
+    assert (summary['n_batches'], summary['n_trajectories']) == (n_batches, 1)
+
+
+def test_a_target_of_a_part_of_a_recording_has_the_rows_of_that_part(tmp_path):
+    target_of_some_frames(tmp_path / 'a.npz', 120, range(33, 93))
+    assert run('detect', tmp_path / 'a.npz', '--no-overlay', '--output', tmp_path / 'out',
+               '--set', 'threshold=9') == 0
+    with open(tmp_path / 'out' / 'trajectories.csv', newline='') as file:
+        rows = list(csv.DictReader(file))
+    assert {row['trajectory_id'] for row in rows} == {rows[0]['trajectory_id']}
+    frames = [int(row['frame']) for row in rows]
+    assert abs(frames[0] - 33) <= 2 and abs(frames[-1] - 92) <= 2
+    assert frames == list(range(frames[0], frames[-1] + 1))
+
+
+def test_what_remains_below_the_threshold_is_told(tmp_path, capsys):
+    np.savez(tmp_path / 'a.npz', frames=np.random.default_rng(0).standard_normal((8, 24, 24)))
+    assert run('detect', tmp_path / 'a.npz', '--no-overlay', '--output', tmp_path / 'out',
+               '--set', 'threshold=9') == 3
+    best = json.loads((tmp_path / 'out' / 'summary.json').read_text())['best_statistic']
+    assert 4 < best < 9
+    printed = capsys.readouterr().out
+    assert f'the best path has a statistic of {best:.2f}, the threshold is 9.00' in printed
+    assert 'false_alarm_rate' in printed and 'status' not in printed
+
+
+def test_frames_that_are_no_noise_end_with_what_to_set(tmp_path, capsys):
+    frames = 8000 + 20 * np.random.default_rng(0).standard_normal((20, 48, 48))
+    np.savez(tmp_path / 'a.npz', frames=frames)
+    assert run('detect', tmp_path / 'a.npz', '--no-overlay', '--output', tmp_path / 'out',
+               '--set', 'noise=robust') == 3
+    printed = capsys.readouterr().out
+    assert 'status not_noise' in printed and 'set background=temporal_median' in printed
+    assert json.loads((tmp_path / 'out' / 'summary.json').read_text())['status'] == 'not_noise'
+
+
+def test_the_time_of_a_batch_is_limited_in_words(tmp_path, capsys):
+    frames = 2.2 * np.random.default_rng(0).standard_normal((20, 64, 64))
+    np.savez(tmp_path / 'a.npz', frames=frames)
+    run('detect', tmp_path / 'a.npz', '--no-overlay', '--output', tmp_path / 'out',
+        '--set', 'threshold=9', '--set', 'max_time_s=0.3')
+    assert 'status time_limit: left when max_time_s was up' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(('number', 'code'), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_a_long_search_is_left_at_once(tmp_path, number, code):
+    frames = 2.2 * np.random.default_rng(0).standard_normal((40, 128, 128))
+    np.savez(tmp_path / 'a.npz', frames=frames.astype(np.float32))
+    program = 'import sys; from track_before_detect.cli import main; sys.exit(main())'
+    search = subprocess.Popen(
+        [sys.executable, '-c', program, 'detect', str(tmp_path / 'a.npz'), '--no-overlay',
+         '--set', 'threshold=9', '--set', 'max_time_s=60', '--output', str(tmp_path / 'out')],
+        stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler))
+    try:
+        while 'searching' not in search.stderr.readline():
+            assert search.poll() is None
+        time.sleep(3)
+        search.send_signal(number)
+        sent = time.monotonic()
+        _, said = search.communicate(timeout=30)
+    finally:
+        search.kill()
+    assert time.monotonic() - sent < 2
+    assert search.returncode == code, said
+    assert 'Traceback' not in said and not (tmp_path / 'out').exists()
 
 
 def test_missing_extra_is_named_before_the_work(recording_file, stand_in, monkeypatch, capsys):

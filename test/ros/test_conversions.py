@@ -112,7 +112,7 @@ def test_points_hold_one_row_per_trajectory_and_frame_it_is_present_in():
         [trajectory(7, absent=[1]), trajectory(9)], HEADER))
     assert isinstance(message, PointCloud2)
     assert [field.name for field in message.fields] == [
-        'x', 'y', 'z', 't', 'id', 'vx', 'vy', 'amplitude', 'snr']
+        'x', 'y', 'z', 't', 'id', 'vx', 'vy', 'amplitude', 'snr', 'statistic']
     assert len(message.data) == message.row_step * message.height
     points = conversions.points_to_array(message)
     assert points['id'].tolist() == [7] * 3 + [9] * 4
@@ -121,6 +121,7 @@ def test_points_hold_one_row_per_trajectory_and_frame_it_is_present_in():
     np.testing.assert_array_equal(points['amplitude'][3:], [3, 4, 5, 6])
     np.testing.assert_array_equal(points['vy'], -25.0)
     np.testing.assert_array_equal(points['snr'], 3.5)
+    np.testing.assert_array_equal(points['statistic'], 9.0)
 
 
 def test_no_trajectories_give_an_empty_cloud():

@@ -13,10 +13,17 @@ import pytest
 pytest.importorskip('rclpy')
 pytest.importorskip('matplotlib')
 
-import track_before_detect
+from std_msgs.msg import Header
+
+import track_before_detect as tbd
+from track_before_detect.options import DetectorOptions
 from track_before_detect.recordings.npz import write_npz_recording
+from track_before_detect.ros import conversions
+from track_before_detect.ros.demo import joined_batches
 from track_before_detect.ros.demo_report import report
-from track_before_detect.types import Trajectory
+from track_before_detect.simulation.sensor import add_target
+from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.types import FrameBatch, Trajectory
 
 TIMEOUT_S = 180.0
 
@@ -35,7 +42,7 @@ def recording(tmp_path, moving_target):
 def start_demo(tmp_path, ros_domain):
     """Start demos, and end them with the test."""
     started = []
-    source = str(Path(track_before_detect.__file__).parents[1])
+    source = str(Path(tbd.__file__).parents[1])
     path = os.pathsep.join(filter(None, [source, os.environ.get('PYTHONPATH')]))
 
     def start(*arguments):
@@ -115,6 +122,26 @@ def test_report_names_the_nearest_target_and_its_error():
         '7', '4-9', '14.0,', '50.5', '19.0,', '50.5', '25.00', '3.00', '1', '0.50']
     assert lines[-2].split()[-4:] == ['0', 'of', '10', '-']
     assert lines[-1].split()[-4:] == ['6', 'of', '10', '7']
+
+
+def test_the_demo_tells_the_same_of_a_target_as_the_command():
+    frames = np.random.default_rng(1).standard_normal((50, 24, 40)).astype(np.float32)
+    for t in range(14, 50):
+        add_target(frames[t], 5 + 0.5 * t, 12.0, 1.0, 7.0)
+    stamps = 3.0 + np.arange(50) / 25
+    options = DetectorOptions(threshold=9.0, batch_length=20)
+    [expected] = tbd.detect(frames, stamps, threshold=9.0, batch_length=20).trajectories
+    pipeline, sent = TrackingPipeline(options), []
+    for first in range(0, 31, 10):
+        rows = np.arange(first, first + 20)
+        result = pipeline.process(FrameBatch(frames[rows], stamps[rows], rows))
+        message = conversions.points_from_trajectories(result.trajectories, Header())
+        sent.append((stamps[rows[-1]], conversions.points_to_array(message)))
+    [shown] = joined_batches(sent, stamps, options)
+    assert shown.id == expected.id
+    assert shown.snr == pytest.approx(expected.snr, rel=1e-6)
+    assert shown.statistic == pytest.approx(expected.statistic, rel=1e-6)
+    np.testing.assert_allclose(shown.positions, expected.positions, atol=1e-4)
 
 
 def test_report_without_truth_shows_what_was_found():

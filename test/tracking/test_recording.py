@@ -7,6 +7,7 @@ import track_before_detect as tbd
 from track_before_detect.options import DetectorOptions
 from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.recording import batches, detect_recording
 
 OPTIONS = {'threshold': 12.0}
@@ -143,3 +144,79 @@ def test_time_unit_changes_nothing_but_the_velocity():
                                atol=1e-6)
     np.testing.assert_allclose(50 * slow.trajectories[0].velocity,
                                fast.trajectories[0].velocity, rtol=1e-6)
+
+
+def test_a_target_of_some_frames_is_one_trajectory_in_these_frames():
+    n_frames, seen = 200, slice(60, 140)
+    frames = np.random.default_rng(4).standard_normal((n_frames, 32, 72)).astype(np.float32)
+    with_target, truth = moving_target(80, amplitude=5.0, seed=9, shape=(32, 72))
+    frames[seen] = with_target
+    result = tbd.detect(frames, threshold=9.0, batch_length=20)
+    [trajectory] = result.trajectories
+    present = np.flatnonzero(np.isfinite(trajectory.positions[:, 0]))
+    assert abs(present[0] - 60) <= 2 and abs(present[-1] - 139) <= 2
+    inside = trajectory.positions[seen] - truth
+    assert np.nanmax(np.hypot(*inside.T)) < 1.5
+    for values in (trajectory.amplitudes, trajectory.velocity[:, 0]):
+        np.testing.assert_array_equal(np.isfinite(values), np.isfinite(trajectory.positions[:, 0]))
+
+
+def test_a_target_that_was_only_missed_keeps_its_frames():
+    # Dimmer, it is found in the middle batches alone, and is there in all frames.
+    frames, truth = moving_target(60, amplitude=6.0, seed=2)
+    frames[:10] -= 0.8 * (frames[:10] - moving_target(60, amplitude=0.0, seed=2)[0][:10])
+    [trajectory] = tbd.detect(frames, threshold=12.0, batch_length=20).trajectories
+    assert np.isfinite(trajectory.positions[10:, 0]).all()
+
+
+class _Recording:
+    def __init__(self, frames, stamps):
+        self.frames, self.stamps = frames, stamps
+
+    def __len__(self):
+        return len(self.frames)
+
+    def __getitem__(self, index):
+        return self.frames[index]
+
+
+def test_a_pipeline_that_is_passed_gets_what_one_that_is_made_gets():
+    frames, _ = moving_target(40)
+    frames[5] = frames[4]
+    stamps = 0.04 * np.arange(40)
+    stamps[20:] += 600
+    stamps[10] = 0.0
+    options = DetectorOptions(**OPTIONS, batch_length=20)
+    made, passed = (detect_recording(_Recording(frames, stamps), options, pipeline=pipeline)
+                    for pipeline in (None, TrackingPipeline(options)))
+    assert passed.remarks == made.remarks and len(made.remarks) == 3
+    assert passed.n_batches == made.n_batches == 2
+
+
+def test_progress_of_a_recording_rises_from_batch_to_batch():
+    rng = np.random.default_rng(0)
+    frames = 2.2 * rng.standard_normal((40, 64, 64))
+    told = []
+    result = tbd.detect(frames, threshold=9.0, batch_length=20, hop=20, max_time_s=1.5,
+                        progress=lambda *what: told.append(what))
+    shares = [share for label, share in told if label == 'searching']
+    assert shares == sorted(shares) and shares[-1] == 1
+    assert any(0 < share < 0.5 for share in shares) and any(0.5 < share < 1 for share in shares)
+    assert result.status == 'time_limit'
+
+
+def test_the_worst_status_of_all_batches_is_that_of_the_recording():
+    frames = np.random.default_rng(0).standard_normal((40, 32, 32))
+    frames[20:] += 100.0
+    result = tbd.detect(frames, threshold=9.0, batch_length=20, hop=20)
+    assert result.status == 'not_noise' and result.n_batches == 2
+    assert len(result.remarks) == 1
+
+
+def test_the_best_statistic_below_the_threshold_is_told():
+    frames = np.random.default_rng(0).standard_normal((10, 32, 32))
+    high = tbd.detect(frames, threshold=9.0)
+    assert high.trajectories == [] and 4 < high.best_statistic < 9
+    # A path of the grid gains a little between the pixels.
+    low = tbd.detect(frames, threshold=high.best_statistic - 1e-3)
+    assert low.trajectories[0].statistic == pytest.approx(high.best_statistic, rel=0.05)

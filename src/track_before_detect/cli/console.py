@@ -177,6 +177,12 @@ class Progress:
         if self._bar is not None:
             self._bar.update(min(max(done, 0.0), 1.0) - self._bar.n)
 
+    def show_time(self) -> None:
+        """Show that time goes on, where nothing else can be told of a task."""
+        bar = self._bar
+        if bar is not None:
+            bar.refresh()
+
     def _close(self) -> None:
         if self._bar is not None:
             self._bar.close()

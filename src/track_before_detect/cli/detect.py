@@ -41,12 +41,13 @@ from track_before_detect.options import (
     is_neutral,
     parse_option,
 )
+from track_before_detect.parallel import map_in_threads
 from track_before_detect.recordings.open_recording import expand_inputs, open_recording
 from track_before_detect.recordings.overlay import write_overlay
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
 from track_before_detect.timestamps import increasing_frames
-from track_before_detect.types import DetectionResult, Trajectory
+from track_before_detect.types import DetectionResult, STATUSES, Trajectory
 
 _EXAMPLES = """\
 examples:
@@ -164,6 +165,7 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
             raise DataError(
                 f'{recording.name} must hold at least 2 frames to show a motion, got 1')
         # Compiled loops take a second to load; errors of the input need not wait for them.
+        from track_before_detect.tracking.batcher import length_of
         from track_before_detect.tracking.presets import choose_options, FRAMES_SEEN
         from track_before_detect.tracking.recording import detect_recording
 
@@ -172,16 +174,23 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
         check_options(options)
         for reason in reasons:
             print(f'preset {arguments.preset}: {reason}', file=sys.stderr)
+        if options.batch_length is None:
+            options = options.replace(batch_length=length_of(len(recording)))
         with Progress(sys.stderr) as progress:
             try:
-                result = detect_recording(recording, options, progress)
+                # In a thread of its own, which an interrupt does not wait for.
+                [result] = map_in_threads(
+                    lambda frames: detect_recording(frames, options, progress), [recording],
+                    progress.show_time)
             except DataError as error:
                 raise DataError(f'{recording.name} cannot be searched: {error}') from error
         result = dataclasses.replace(result, remarks=[*reasons, *result.remarks])
         seconds = time.perf_counter() - started
         summary = _summary(recording, options, result, seconds)
         written = _write_results(output, recording, result, summary, not arguments.no_overlay)
-        return result, _table(result.trajectories, recording.stamps_known), written
+        text = '\n'.join([_table(result.trajectories, recording.stamps_known),
+                          *_closing_words(result)])
+        return result, text, written
 
 
 def _told_options(arguments: Namespace) -> dict[str, Any]:
@@ -250,6 +259,7 @@ def _summary(recording: Recording, options: DetectorOptions, result: DetectionRe
         'status': result.status,
         'remarks': result.remarks,
         'threshold': result.threshold,
+        'best_statistic': result.best_statistic,
         'gap': result.gap,
         'n_trajectories': len(result.trajectories),
         'seconds': round(seconds, 3),
@@ -269,6 +279,19 @@ def _write_results(output: Path, recording: Recording, result: DetectionResult,
         write_summary_json(aside / 'summary.json', summary)
         names = sorted(file.name for file in aside.iterdir())
     return [output / name for name in names]
+
+
+def _closing_words(result: DetectionResult) -> list[str]:
+    """Return what there is to say of how the search ended, and of what it has not found."""
+    words = []
+    if result.status != 'converged':
+        words.append(f'status {result.status}: {STATUSES[result.status]}')
+        words += result.remarks if result.status == 'not_noise' else []
+    if not result.trajectories and np.isfinite(result.best_statistic):
+        words.append(
+            f'the best path has a statistic of {result.best_statistic:.2f}, the threshold is '
+            f'{result.threshold:.2f}: a larger false_alarm_rate lowers it')
+    return words
 
 
 def _table(trajectories: Sequence[Trajectory], stamps_known: bool) -> str:

@@ -21,6 +21,7 @@ from track_before_detect.cli.console import (
     TERMINATED,
 )
 from track_before_detect.errors import TbdError
+from track_before_detect.parallel import exit_at_once_is_needed
 
 _EXAMPLES = """\
 try it:
@@ -35,6 +36,10 @@ exit codes:
   130  interrupted with Ctrl-C
   143  ended by the signal TERM
 """
+
+
+class _Terminated(SystemExit):
+    """The signal TERM has come."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -53,8 +58,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return FOUND
     except KeyboardInterrupt:
-        print('tbd: interrupted', file=sys.stderr)
-        return INTERRUPTED
+        print('tbd: interrupted', file=sys.stderr, flush=True)
+        return _leave(INTERRUPTED)
+    except _Terminated:
+        return _leave(TERMINATED)
     except (TbdError, OSError, MemoryError) as error:
         return fail('tbd', error_words(error))
 
@@ -71,7 +78,14 @@ def _prepare_output() -> None:
 
 def _terminate(*_: object) -> NoReturn:
     """End like an error does, so that no half-written file stays."""
-    sys.exit(TERMINATED)
+    raise _Terminated
+
+
+def _leave(code: int) -> int:
+    """Return an exit code, or end with it where Python could not be left the usual way."""
+    if exit_at_once_is_needed():
+        os._exit(code)
+    return code
 
 
 def _run(arguments: Sequence[str] | None) -> int:

@@ -72,7 +72,7 @@ class Presence:
         return self.cost(0, n_frames - 1, n_frames)
 
 
-def frames_seen_in(seen: NDArray) -> tuple[int, int]:
+def frames_seen_in(seen: NDArray, amplitude: float | None = None) -> tuple[int, int]:
     """Return the first and last frame in which a target was there, as far as can be told.
 
     Whether a path is worth its costs has to allow for all places and times at which noise may
@@ -84,7 +84,11 @@ def frames_seen_in(seen: NDArray) -> tuple[int, int]:
     ----------
     seen : array, shape (T,)
         Statistic h of each frame along the path, magnitude where the sign is free.
+    amplitude : float, optional
+        Where it is known from other frames than these.
     """
+    if amplitude is not None:
+        return _best_run(amplitude * seen - 0.5 * amplitude**2, CUT, CUT)
     first, last = 0, len(seen) - 1
     for _ in range(MOST_ROUNDS):
         amplitude = max(float(np.mean(seen[first:last + 1])), 0.0)

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 import json
@@ -50,6 +50,8 @@ from track_before_detect.ros.conversions import points_to_array, seconds_from_ti
 from track_before_detect.ros.demo_report import report
 from track_before_detect.ros.domain import free_domain_id
 from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.tracking.batcher import DEFAULT_LENGTH
+from track_before_detect.tracking.joined import JoinedTrajectories
 from track_before_detect.types import Trajectory
 
 SCENARIO = 'eo_ir_drones'
@@ -79,8 +81,9 @@ class Heard:
 
     Attributes
     ----------
-    points : dict
-        Trajectory id to (stamp in seconds to point); a later batch replaces an earlier one.
+    batches : list of (float, array)
+        Of each batch the stamp of its newest frame in seconds, and its points, see
+        ``points_from_trajectories``.
     diagnostics : dict
         Last key-value pairs of the detector.
     last_diagnostics_s : float
@@ -89,10 +92,15 @@ class Heard:
         Stamp of the newest frame of the batches searched so far.
     """
 
-    points: dict[int, dict[float, Any]] = field(default_factory=dict)
+    batches: list[tuple[float, NDArray]] = field(default_factory=list)
     diagnostics: dict[str, str] = field(default_factory=dict)
     last_diagnostics_s: float = field(default_factory=time.monotonic)
     searched_until_s: float = -np.inf
+
+    @property
+    def n_trajectories(self) -> int:
+        """Number of ids so far."""
+        return len({int(identity) for _, points in self.batches for identity in points['id']})
 
     def count(self, key: str) -> int:
         """Return a counter of the diagnostics."""
@@ -116,9 +124,9 @@ class Listener(Node):
         self.create_subscription(DiagnosticArray, '/diagnostics', self._take_diagnostics, 10)
 
     def _take_points(self, message: PointCloud2) -> None:
-        for point in points_to_array(message):
-            self._heard.points.setdefault(int(point['id']), {})[float(point['t'])] = point
-        self._heard.searched_until_s = seconds_from_time(message.header.stamp)
+        newest_s = seconds_from_time(message.header.stamp)
+        self._heard.batches.append((newest_s, points_to_array(message)))
+        self._heard.searched_until_s = newest_s
 
     def _take_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -221,7 +229,8 @@ def _run(arguments: Namespace, status: StatusLine) -> int:
         print(f'{recording.name}: {len(recording)} frames of {recording.shape[0]} x '
               f'{recording.shape[1]} px', flush=True)
         heard = _play(arguments, options, Path(source), recording, output, status)
-        trajectories = _trajectories(heard, recording.stamps)
+        trajectories = joined_batches(heard.batches, recording.stamps,
+                                      DetectorOptions.from_mapping(options))
         truth = recording.truth
         middle = len(recording) // 2
         overlay, table = output / 'overlay.png', output / 'trajectories.csv'
@@ -345,7 +354,7 @@ def _wait_until_searched(detector: ChildProcess, publisher: ChildProcess,
         if code is None and not received:
             what = 'waiting for frame_publisher and detector to find each other'
         status.show(what, f'{received} of {n_frames} frames, {batches} batches, '
-                          f'{len(heard.points)} trajectories')
+                          f'{heard.n_trajectories} trajectories')
         busy = heard.diagnostics.get('searching') == 'true' or (code is None and received)
         if busy or (received, batches, code) != counted:
             last_change_s, counted = time.monotonic(), (received, batches, code)
@@ -398,19 +407,35 @@ def _frame_numbers(stamps_s: NDArray[np.float64], recorded_s: NDArray[np.float64
     return np.where(nearer, before, after)
 
 
-def _trajectories(heard: Heard, recorded_s: NDArray[np.float64]) -> list[Trajectory]:
-    """Return what was found, one trajectory per id, by descending SNR."""
-    found = []
-    for identity, by_stamp in heard.points.items():
-        stamps_s = np.array(sorted(by_stamp))
-        points = np.array([by_stamp[stamp] for stamp in stamps_s])
-        found.append(Trajectory(
-            id=identity, positions=np.column_stack([points['x'], points['y']]).astype(float),
-            amplitudes=points['amplitude'].astype(float),
-            velocity=np.column_stack([points['vx'], points['vy']]).astype(float),
-            stamps=stamps_s, frame_indices=_frame_numbers(stamps_s, recorded_s),
-            statistic=float('nan'), snr=float(points['snr'].max())))
-    return sorted(found, key=lambda trajectory: -trajectory.snr)
+def joined_batches(batches: Iterable[tuple[float, NDArray]], recorded_s: NDArray[np.float64],
+                   options: DetectorOptions) -> list[Trajectory]:
+    """Return what was found in a recording, one trajectory per id, as ``tbd detect`` does.
+
+    Parameters
+    ----------
+    batches : iterable of (float, array)
+        As in :class:`Heard`.
+    recorded_s : array, shape (T,)
+        Stamps of the recording.
+    options : DetectorOptions
+        Of the node.
+    """
+    joined = JoinedTrajectories(recorded_s, options.psf_sigma_px)
+    length = options.batch_length or DEFAULT_LENGTH
+    for newest_s, points in batches:
+        [newest] = _frame_numbers(np.array([newest_s]), recorded_s)
+        frames = _frame_numbers(points['t'], recorded_s)
+        found = []
+        for identity in np.unique(points['id']):
+            own = points[points['id'] == identity]
+            found.append(Trajectory(
+                id=int(identity), positions=np.column_stack([own['x'], own['y']]).astype(float),
+                amplitudes=own['amplitude'].astype(float),
+                velocity=np.column_stack([own['vx'], own['vy']]).astype(float),
+                stamps=own['t'], frame_indices=frames[points['id'] == identity],
+                statistic=float(own['statistic'][0]), snr=float(own['snr'][0])))
+        joined.add(np.arange(max(0, newest - length + 1), newest + 1), found)
+    return joined.trajectories()
 
 
 def _print_losses(heard: Heard, n_frames: int) -> None:

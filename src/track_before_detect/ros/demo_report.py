@@ -28,7 +28,7 @@ def report(trajectories: Sequence[Trajectory], truth: NDArray | None) -> str:
     Parameters
     ----------
     trajectories : sequence of Trajectory
-        Present in each of their frames.
+        NaN in frames in which they are absent.
     truth : array, shape (N, 4), or None
         Rows [frame, target, x, y].
     """
@@ -44,13 +44,14 @@ def _errors(trajectory: Trajectory, truth: NDArray | None) -> dict[int, NDArray[
     errors: dict[int, NDArray[np.float64]] = {}
     if truth is None:
         return errors
+    present = np.isfinite(trajectory.positions[:, 0])
     for target in np.unique(truth[:, 1]):
         rows = truth[truth[:, 1] == target]
         _, ours, theirs = np.intersect1d(
-            trajectory.frame_indices, rows[:, 0], return_indices=True)
+            trajectory.frame_indices[present], rows[:, 0], return_indices=True)
         if len(ours):
             errors[int(target)] = np.hypot(
-                *(trajectory.positions[ours] - rows[theirs, 2:]).T)
+                *(trajectory.positions[present][ours] - rows[theirs, 2:]).T)
     return errors
 
 
@@ -85,7 +86,8 @@ def _truth_table(trajectories: Sequence[Trajectory], truth: NDArray | None,
             distances = errors.get((trajectory.id, target))
             if distances is None:
                 continue
-            shared = np.intersect1d(trajectory.frame_indices, places[:, 0])
+            present = np.isfinite(trajectory.positions[:, 0])
+            shared = np.intersect1d(trajectory.frame_indices[present], places[:, 0])
             near = shared[distances <= NEAR_PX].astype(int).tolist()
             followed.update(near)
             by_ids += [str(trajectory.id)] if near else []

@@ -55,12 +55,10 @@ from track_before_detect.ros.parameters import (
     ParameterizedNode,
 )
 from track_before_detect.ros.running import run
-from track_before_detect.ros.worker import (
-    DEFAULT_BATCH_LENGTH,
-    StreamResult,
-    StreamWorker,
-)
+from track_before_detect.ros.worker import StreamResult, StreamWorker
+from track_before_detect.tracking.batcher import DEFAULT_LENGTH, hop_of
 from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.types import STATUSES
 
 INPUT_DEPTH = 20
 OUTPUT_DEPTH = 50
@@ -72,7 +70,7 @@ STOP_TIMEOUT_S = 3.0
 RCLError, InvalidHandle = rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle
 
 PARAMETERS = [
-    *option_parameters({'batch_length': DEFAULT_BATCH_LENGTH}),
+    *option_parameters({'batch_length': DEFAULT_LENGTH}),
     NodeParameter(
         'max_gap_s', 0.0, 'Longest pause between two frames of a batch; a longer one starts a '
         'new batch. Automatic is the duration of a batch.', 'number', unit='s', minimum=0.0,
@@ -220,6 +218,10 @@ class DetectorNode(ParameterizedNode):
             shown = {trajectory.id for trajectory in trajectories}
             ended, self._shown = self._shown - shown, shown
             self._last_header = header
+        detection = result.detection
+        if detection.status != 'converged':
+            self._warn(f'status {detection.status}', '; '.join(
+                [STATUSES[detection.status], *detection.remarks]))
         self._send(self._markers, conversions.markers_from_trajectories(
             trajectories, header, lifetime_s, sorted(ended)))
         for path in conversions.paths_from_trajectories(trajectories, header, stamps):
@@ -275,8 +277,8 @@ class DetectorNode(ParameterizedNode):
 
 def _options_and_settings(values: Mapping[str, Any]) -> tuple[DetectorOptions, StreamSettings]:
     """Return the options of the detector and how to cut and buffer the stream, none automatic."""
-    length = values['batch_length'] or DEFAULT_BATCH_LENGTH
-    hop = values['hop'] or max(1, length // 2)
+    length = values['batch_length'] or DEFAULT_LENGTH
+    hop = values['hop'] or hop_of(length)
     options = options_from_parameters(
         PARAMETERS, {**values, 'batch_length': length, 'hop': hop})
     return options, StreamSettings(

@@ -23,7 +23,6 @@ from track_before_detect.types import DetectionResult, FrameBatch
 
 logger = logging.getLogger(__name__)
 
-DEFAULT_BATCH_LENGTH = 20
 # Enough frames to know their interval before the search is prepared for it.
 FRAMES_TO_LEARN = 3
 AUTOMATIC_FLUSH_INTERVALS = 5
@@ -275,6 +274,9 @@ class StreamWorker:
     def _progress(self, label: str, done: float) -> None:
         if self.queue.closed:
             raise _StopRequestedError
+        if label == 'searching':
+            # A state of its own for each batch would fill the log.
+            return
         self._set_state(label, f'{100.0 * done:.0f} %')
 
     def _reconfigure(self, options: DetectorOptions, settings: StreamSettings) -> None:

@@ -71,7 +71,8 @@ class BatchResult:
     threshold: float
     status: str
     history: list[Step]
-    gap: float
+    gap: float = float('nan')
+    best_statistic: float = float('nan')
     rejected: list[FoundTrajectory] = field(default_factory=list)
 
 
@@ -145,7 +146,7 @@ class BatchDetector(ABC):
             Where targets of the batch before are in this one; a detector that begins afresh takes
             no notice.
         progress : callable, optional
-            Told of a calibration.
+            Told of a calibration, and of the search while it lasts.
         """
 
 

@@ -25,8 +25,10 @@ class GreedyDetector(PathDetector):
         bound = model.value(paths.threshold)
         history: list[Step] = []
         found: list[FoundTrajectory] = []
-        status = 'iteration_limit'
+        status, largest = 'iteration_limit', float('nan')
         for _ in range(MOST_PATHS):
+            if task.watch.time_is_up():
+                break
             largest, best = task.search.best_paths(
                 paths.residual, bound, 1.0, lambda positions: True, 1)
             violation = model.from_value(largest) / paths.threshold - 1
@@ -39,4 +41,4 @@ class GreedyDetector(PathDetector):
             added = len(paths) - 1
             paths.assign(np.array([added]), paths.best(added)[None])
             found.append(self.trajectory(paths, added, path.value))
-        return self.result(paths, found, status, history)
+        return self.result(task, found, status, history, largest)

@@ -29,10 +29,13 @@ from track_before_detect.solvers.calibration.path_noise import path_noise_study
 from track_before_detect.solvers.calibration.threshold import threshold_for
 from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
+from track_before_detect.solvers.noise_check import passes_everywhere, threshold_bound
 from track_before_detect.solvers.path_statistic import PathStatistic
+from track_before_detect.solvers.refine.refinement import refiner_for
 from track_before_detect.solvers.refine.target_model import NO_WEIGHTS, TargetModel
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
 from track_before_detect.solvers.search.periodic_columns import columns_of, doppler_columns
+from track_before_detect.solvers.watch import Watch
 from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress, Step
 
@@ -54,12 +57,15 @@ class Task(NamedTuple):
         Holds the frames; starts empty.
     earlier : EarlierPaths or None
         Where targets of the batch before are, on the plane that is searched.
+    watch : Watch
+        Says when the time is up.
     """
 
     targets: TargetModel
     search: PathSearch
     paths: WorkingSet
     earlier: EarlierPaths | None
+    watch: Watch
 
 
 class PathDetector(BatchDetector):
@@ -85,6 +91,7 @@ class PathDetector(BatchDetector):
         self.scale = PathStatistic(self.model, self.presence)
         self._graphs = GraphBuilder(options, self.model.turn_cost, self.presence)
         self._search: tuple[tuple, PathSearch] | None = None
+        self._has_searched = False
 
     def graph(self, stamps: NDArray, shape: tuple[int, int]) -> StateGraph:
         """Return the paths that are searched on a plane (H, W) in frames taken at ``stamps``."""
@@ -103,7 +110,6 @@ class PathDetector(BatchDetector):
         measurement = self._measurement(stamps, batch.frame_indices)
         shape = measurement.plane_shape(batch.frames.shape[1:])
         graph = self._graph(stamps, measurement, shape)
-        threshold = self._threshold(stamps, measurement, shape, progress)
         columns = columns_of(self.options, measurement, shape[1], graph)
         frames, weights = self._searched(columns.strip(batch.frames), weights if weights is None
                                          else columns.strip(np.asarray(weights)))
@@ -111,10 +117,32 @@ class PathDetector(BatchDetector):
         targets = TargetModel(graph, measurement, self._graphs.times(stamps, measurement),
                               NO_WEIGHTS if weights is None else weights, self.model,
                               self.presence)
-        paths = WorkingSet(frames, targets.pixel_weights, measurement,
-                           self.scale.penalty(threshold, len(frames)), self.model, columns.period)
-        result = self.solve(Task(targets, search, paths, columns.on_strip(earlier)))
+
+        def task_at(threshold: float) -> Task:
+            paths = WorkingSet(
+                frames, targets.pixel_weights, measurement,
+                self.scale.penalty(threshold, len(frames)), self.model, columns.period)
+            return Task(targets, search, paths, columns.on_strip(earlier),
+                        Watch(self.options.max_time_s, progress))
+
+        if self.options.threshold is None and not self._has_searched:
+            # A calibration, which may take long, would be for nothing.
+            task = task_at(threshold_bound(graph, search.grid_shape,
+                                           self.options.false_alarm_rate))
+            if self._passes_everywhere(task):
+                return self.result(task, [], 'not_noise', [])
+        task = task_at(self._threshold(stamps, measurement, shape, progress))
+        self._has_searched = True
+        if self._passes_everywhere(task):
+            return self.result(task, [], 'not_noise', [])
+        result = self.solve(task)
         return replace(result, found=columns.in_frame(result.found))
+
+    def _passes_everywhere(self, task: Task) -> bool:
+        """Return whether most places pass the threshold, which no noise does."""
+        cost = self.presence.whole_cost(len(task.paths.frames)) if self.presence else 0.0
+        return passes_everywhere(task.search, refiner_for(task.targets), task.paths,
+                                 task.targets.measurement, cost, task.watch)
 
     @abstractmethod
     def solve(self, task: Task) -> BatchResult:
@@ -130,12 +158,20 @@ class PathDetector(BatchDetector):
             self.scale.statistic(value, len(seen)),
             self.model.snr(seen[present & paths.visible(path)]))
 
-    def result(self, paths: WorkingSet, found: list[FoundTrajectory], status: str,
-               history: list[Step], gap: float = float('nan')) -> BatchResult:
-        """Return what was found, best first, with the threshold of a statistic."""
-        threshold = self.scale.statistic(self.model.value(paths.threshold), len(paths.frames))
-        return BatchResult(sorted(found, key=lambda one: -one.statistic), threshold, status,
-                           history, gap)
+    def result(self, task: Task, found: list[FoundTrajectory], status: str, history: list[Step],
+               largest: float = 0.0, gap: float = float('nan')) -> BatchResult:
+        """Return what was found, best first, with the threshold of a statistic.
+
+        ``largest`` is the value of the last search: that of the best path that was left, or only
+        a bound of it.
+        """
+        model, penalty, n_frames = self.model, task.paths.threshold, len(task.paths.frames)
+        best = float('nan')
+        if largest > 0 and largest not in (model.value(penalty), model.grid_level(penalty)):
+            best = self.scale.statistic(largest, n_frames)
+        threshold = self.scale.statistic(model.value(penalty), n_frames)
+        return BatchResult(sorted(found, key=lambda one: -one.statistic), threshold,
+                           task.watch.status(status), history, gap, best)
 
     def largest_value(self, targets: TargetModel,
                       search: PathSearch) -> Callable[[NDArray], float]:

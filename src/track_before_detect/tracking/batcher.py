@@ -14,6 +14,21 @@ from track_before_detect.types import FrameBatch
 
 # Frames stamped on arrival may come in bunches at the start; less than this is no gap then.
 SHORTEST_FIRST_GAP_S = 1.0
+# Frames of a batch where nothing is said of them, and the most that are one batch all the same.
+DEFAULT_LENGTH, MOST_IN_ONE = 20, 40
+
+
+def hop_of(length: int) -> int:
+    """Return the frames from one batch to the next where nothing is said of them: half a batch.
+
+    Every target is then seen in whole batches but at its ends.
+    """
+    return max(1, length // 2)
+
+
+def length_of(n_frames: int) -> int | None:
+    """Return the length of the batches of a recording, None where it is one batch."""
+    return DEFAULT_LENGTH if n_frames > MOST_IN_ONE else None
 
 
 class Outcome(Enum):

@@ -27,7 +27,14 @@ from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterD
 from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.remarks import Remarks
 from track_before_detect.tracking.stitcher import Stitcher
-from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
+from track_before_detect.types import (
+    DetectionResult,
+    FrameBatch,
+    Progress,
+    Remark,
+    STATUSES,
+    Trajectory,
+)
 
 _LOG = logging.getLogger(__name__)
 # A spread of the pixels above which noise=none must be an oversight.
@@ -70,6 +77,8 @@ class TrackingPipeline:
         The detector that the options name unless given.
     """
 
+    stamps_may_repeat = False
+
     def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None,
                  detector: BatchDetector | None = None):
         self._options = options
@@ -81,7 +90,7 @@ class TrackingPipeline:
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []
         self._remarks = Remarks()
-        self._scale_is_known = options.noise != 'none'
+        self._scale_is_known = False
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
                 progress: Progress | None = None) -> float:
@@ -118,7 +127,7 @@ class TrackingPipeline:
         batch : FrameBatch
             Frames as they came.
         progress : callable, optional
-            Told of a calibration.
+            Told of a calibration, and of the search while it lasts.
 
         Returns
         -------
@@ -135,7 +144,10 @@ class TrackingPipeline:
         self._before = self._stitcher.link(
             found, self._period(batch.frames.shape[2]),
             [trajectory for trajectory in rejected if trajectory.reason == BELOW])
-        return replace(results[0], trajectories=list(self._before), rejected=rejected,
+        worst = max(results, key=lambda result: list(STATUSES).index(result.status))
+        return replace(worst, trajectories=list(self._before), rejected=rejected,
+                       best_statistic=float(np.fmax.reduce(
+                           [result.best_statistic for result in results])),
                        remarks=[remark for result in results for remark in result.remarks])
 
     def carried_on(self, known: Trajectory, weaker: list[Trajectory]) -> list[Trajectory]:
@@ -151,7 +163,8 @@ class TrackingPipeline:
         remarks = self._remarks.new(prepared.remarks)
         if not np.isfinite(prepared.frames).any():
             return DetectionResult([], 0.0, remarks=remarks)
-        self._check_scale(prepared.frames[len(batch) // 2])
+        middle = prepared.frames[len(batch) // 2]
+        self._check_scale(middle)
         earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
         result = self._detector.detect(
             FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices),
@@ -163,8 +176,12 @@ class TrackingPipeline:
             [trajectory for one in ones if np.isfinite(
                 (trajectory := _in_original_frames(one, prepared, unit, period)).positions).any()]
             for ones in (result.found, result.rejected))
+        if result.status == 'not_noise':
+            words = ('frames pass the threshold nearly everywhere, as noise never does, and are '
+                     f'not searched: {self._what_to_set(middle)}')
+            remarks += self._remarks.new([Remark('not_noise', words)])
         return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
-                               rejected=rejected, remarks=remarks)
+                               result.best_statistic, rejected=rejected, remarks=remarks)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
@@ -183,18 +200,23 @@ class TrackingPipeline:
         if self._scale_is_known:
             return
         self._scale_is_known = True
-        pixels = frame[np.isfinite(frame)]
-        if not len(pixels):
-            return
-        if np.iscomplexobj(pixels):
-            pixels = pixels.real * 2**0.5
-        middle = float(np.median(pixels))
-        spread = median_deviation(pixels - middle)
+        middle, spread = _middle_and_spread(frame)
         if max(spread, abs(middle)) > MOST_SPREAD:
             _LOG.warning(
-                'the pixels have a median of %.3g and a spread of %.3g, where noise=none takes a '
-                'background of 0 and a noise of 1: set noise=robust, and '
-                'background=temporal_median if the scene shows', middle, spread)
+                'the pixels have a median of %.3g and a spread of %.3g, where background=%s and '
+                'noise=%s should leave a median of 0 and a spread of 1: %s', middle, spread,
+                self._options.background, self._options.noise, self._what_to_set(frame))
+
+    def _what_to_set(self, frame: NDArray) -> str:
+        """Return which option to turn for a prepared frame that is no unit noise."""
+        options, wanted = self._options, []
+        middle, spread = _middle_and_spread(frame)
+        scaled = options.noise != 'none'
+        if options.background == 'none' and (scaled or abs(middle) > 0.5 * spread):
+            wanted.append('background=temporal_median')
+        if not scaled:
+            wanted.append('noise=robust')
+        return f'set {" and ".join(wanted) or "noise=map, or a larger threshold"}'
 
     def _compile(self, progress: Progress | None) -> None:
         """Run every kernel once, on a target bright enough to pass through all stages."""
@@ -215,6 +237,17 @@ class TrackingPipeline:
             progress('compiling', 0.5)
         frames[:, 0, 0] = np.nan
         detector.detect(batch)
+
+
+def _middle_and_spread(frame: NDArray) -> tuple[float, float]:
+    """Return the median and the robust deviation of pixels, of the real part of complex ones."""
+    pixels = frame[np.isfinite(frame)]
+    if not len(pixels):
+        return 0.0, 0.0
+    if np.iscomplexobj(pixels):
+        pixels = pixels.real * 2**0.5
+    middle = float(np.median(pixels))
+    return middle, median_deviation(pixels - middle)
 
 
 def _check(batch: FrameBatch) -> None:

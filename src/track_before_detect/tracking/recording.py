@@ -11,11 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError
+from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.timestamps import increasing_frames, median_interval, pieces
+from track_before_detect.tracking.batcher import hop_of
+from track_before_detect.tracking.joined import JoinedTrajectories
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.repeated_frames import RepeatedFrames
-from track_before_detect.types import DetectionResult, FrameBatch, Progress, Step, Trajectory
+from track_before_detect.types import DetectionResult, FrameBatch, Progress, STATUSES, Step
 
 _LOG = logging.getLogger(__name__)
 
@@ -35,7 +38,16 @@ class FrameSequence(Protocol):
 
 
 class BatchPipeline(Protocol):
-    """What finds the trajectories of successive batches."""
+    """What finds the trajectories of successive batches.
+
+    Attributes
+    ----------
+    stamps_may_repeat : bool
+        Whether frames may share a stamp, and are neither out of order nor repeated then: those of
+        several sensors, which follow one another as they come.
+    """
+
+    stamps_may_repeat: bool
 
     def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of one batch, with the ids of the batches before."""
@@ -104,29 +116,31 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     """
     n_frames = len(recording)
     length = min(options.batch_length or n_frames, n_frames)
-    hop = min(options.hop or max(1, length // 2), length)
+    hop = min(options.hop or hop_of(length), length)
     stamps = np.asarray(recording.stamps, float)
     repeated = RepeatedFrames()
-    if pipeline is None:
-        pipeline = TrackingPipeline(options)
+    pipeline = pipeline or TrackingPipeline(options)
+    if not pipeline.stamps_may_repeat:
         increasing = increasing_frames(stamps)
         if len(increasing) < min(2, n_frames):
             raise DataError(f'stamps must increase, got {n_frames} that do not')
         parts, remarks = pieces(stamps, length * median_interval(stamps[increasing]))
         cut = batches(recording, parts, stamps, length, hop, repeated.repeats)
     else:
-        # Frames of several sensors may share a stamp, and follow one another as they come.
         remarks = []
         cut = batches(recording, [np.arange(n_frames)], stamps, length, hop)
     remarks = [*getattr(recording, 'remarks', []), *remarks]
     for remark in remarks:
         # Said before the search: it may fail for the same reason.
         _LOG.warning('%s', remark)
-    joined = _Joined(stamps)
+    joined = JoinedTrajectories(stamps, psf_of(options).width_px)
     history: list[Step] = []
-    status, threshold, gap = 'converged', 0.0, float('nan')
-    n_searched = 0
-    searched: list[DetectionResult] = []
+    ranks = list(STATUSES)
+    rank, threshold, gap, best_statistic = 0, 0.0, float('nan'), float('nan')
+    n_searched = n_done = 0
+    searched: list[tuple[NDArray[np.int64], DetectionResult]] = []
+    if progress is not None:
+        progress('searching', 0.0)
     for batch in cut:
         if not np.isfinite(batch.frames).any() and len(batch) < n_frames:
             # A gap in the recording ends no more than the trajectories that reach into it.
@@ -134,73 +148,51 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
                          batch.frame_indices[0], batch.frame_indices[-1])
             continue
         n_searched += 1
-        result = pipeline.process(batch, progress)
-        joined.add(result.trajectories)
-        searched.append(result)
+        n_until = int(batch.frame_indices[-1]) + 1
+        result = pipeline.process(
+            batch, progress and _within(progress, n_done / n_frames, n_until / n_frames))
+        n_done = n_until
+        searched.append((batch.frame_indices, result))
         remarks += result.remarks
         history += result.history
         threshold = max(threshold, result.threshold)
         gap = float(np.fmax(gap, result.gap))
-        if result.status != 'converged':
-            status = result.status
+        best_statistic = float(np.fmax(best_statistic, result.best_statistic))
+        rank = max(rank, ranks.index(result.status))
         if progress is not None:
-            progress('searching', (int(batch.frame_indices[-1]) + 1) / n_frames)
+            progress('searching', n_done / n_frames)
     if not n_searched:
         raise DataError(f'no pixel of the {n_frames} frames is finite')
-    if isinstance(pipeline, TrackingPipeline):
-        _carry_back(pipeline, searched, joined)
     if repeated.count:
         remarks.append(f'{repeated.count} of {n_frames} frames repeat the one before and are '
                        'passed over')
         _LOG.warning('%s', remarks[-1])
-    return DetectionResult(joined.trajectories(), threshold, status, history, gap, n_searched,
-                           remarks, [one for result in searched for one in result.rejected])
+    if isinstance(pipeline, TrackingPipeline):
+        _carry_back(pipeline, [result for _, result in searched])
+    for frame_indices, result in searched:
+        joined.add(frame_indices, result.trajectories)
+    return DetectionResult(joined.trajectories(), threshold, ranks[rank], history, gap,
+                           best_statistic, n_searched, remarks,
+                           [one for _, result in searched for one in result.rejected])
 
 
-def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult],
-                joined: _Joined) -> None:
+def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult]) -> None:
     """Follow trajectories back into the batches before the one that first found them."""
-    later: list[Trajectory] = []
-    for result in reversed(searched):
+    later = searched[-1].trajectories
+    for result in reversed(searched[:-1]):
         seen = {trajectory.id for trajectory in result.trajectories}
-        before = [carried for known in later if known.id not in seen
-                  for carried in pipeline.carried_on(known, result.rejected)]
-        joined.add(before)
-        later = [*result.trajectories, *before]
+        result.trajectories.extend(
+            carried for known in later if known.id not in seen
+            for carried in pipeline.carried_on(known, result.rejected))
+        later = result.trajectories
 
 
-class _Joined:
-    """Trajectories over all frames, each frame from the batch that holds it deepest inside."""
+def _within(progress: Progress, begun: float, ended: float) -> Progress:
+    """Return what tells how much of a recording is searched while one of its batches is."""
 
-    def __init__(self, stamps: NDArray[np.float64]):
-        self._stamps = stamps
-        self._parts: dict[int, list[Trajectory]] = {}
+    def tell(label: str, done: float) -> None:
+        if label == 'searching':
+            done = begun + done * (ended - begun)
+        progress(label, done)
 
-    def add(self, trajectories: list[Trajectory]) -> None:
-        for trajectory in trajectories:
-            self._parts.setdefault(trajectory.id, []).append(trajectory)
-
-    def trajectories(self) -> list[Trajectory]:
-        joined = [self._join(parts) for parts in self._parts.values()]
-        return sorted(joined, key=lambda trajectory: -trajectory.statistic)
-
-    def _join(self, parts: list[Trajectory]) -> Trajectory:
-        n_frames = len(self._stamps)
-        depth = np.full(n_frames, -1)
-        positions = np.full((n_frames, 2), np.nan)
-        velocity = np.full((n_frames, 2), np.nan)
-        # Complex where those of a part are.
-        amplitudes = np.full(n_frames, np.nan, np.result_type(*[p.amplitudes for p in parts]))
-        for part in parts:
-            own = np.arange(len(part.frame_indices))
-            inside = np.minimum(own, own[::-1])
-            better = inside > depth[part.frame_indices]
-            rows = part.frame_indices[better]
-            depth[rows] = inside[better]
-            positions[rows] = part.positions[better]
-            velocity[rows] = part.velocity[better]
-            amplitudes[rows] = part.amplitudes[better]
-        best = max(parts, key=lambda part: part.statistic)
-        return Trajectory(best.id, positions, amplitudes, velocity, self._stamps,
-                          np.arange(n_frames), best.statistic,
-                          float(np.mean([part.snr for part in parts])))
+    return tell

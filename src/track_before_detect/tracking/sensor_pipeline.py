@@ -36,6 +36,8 @@ class SensorPipeline:
         The detector that the options name unless given.
     """
 
+    stamps_may_repeat = True
+
     def __init__(self, array: SensorArray, options: DetectorOptions,
                  detector: PathDetector | None = None):
         check_options(options, several_sensors=True)
@@ -56,7 +58,8 @@ class SensorPipeline:
         self._before = self._stitcher.link(
             [self._on_plane(found, units, batch) for found in result.found])
         return DetectionResult(list(self._before), result.threshold, result.status,
-                               result.history, result.gap, remarks=remarks)
+                               result.history, result.gap, result.best_statistic,
+                               remarks=remarks)
 
     def _prepared(self, batch: FrameBatch) -> tuple[FrameBatch, NDArray, NDArray, list[str]]:
         """Return frames of unit noise, weights of pixels, the unit of amplitudes, and remarks."""

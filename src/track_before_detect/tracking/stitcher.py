@@ -27,8 +27,9 @@ class Stitcher:
     """Keeps identities over overlapping or adjoining batches.
 
     Two trajectories are one target when their mean distance over the frames both saw is within
-    the gate. Where they saw no frame in common the older one is carried on at its last velocity,
-    with a gate that grows by one sigma of the PSF for each frame between.
+    the gate; each frame counts by the amplitudes there, for where a target is not yet, or no
+    longer, its path says nothing of it. Where they saw no frame in common the older one is carried
+    on at its last velocity, with a gate that grows by one sigma of the PSF for each frame between.
 
     Parameters
     ----------
@@ -114,8 +115,12 @@ class Stitcher:
         if len(common):
             distance = _distances(
                 older.positions[in_older], newer.positions[in_newer], period)
-            if np.isfinite(distance).any():
-                return float(np.nanmean(distance)) / self._gate
+            known = np.isfinite(distance)
+            if known.any():
+                weights = np.nan_to_num(np.abs(older.amplitudes[in_older]
+                                               * newer.amplitudes[in_newer]))[known]
+                mean = np.average(distance[known], weights=weights if weights.any() else None)
+                return float(mean) / self._gate
         present_older = np.flatnonzero(np.isfinite(older.positions[:, 0]))
         present_newer = np.flatnonzero(np.isfinite(newer.positions[:, 0]))
         if not (len(present_older) and len(present_newer)):

@@ -10,6 +10,7 @@ from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.convex import subspace_pursuit
 from track_before_detect.solvers.convex.subspace_pursuit import (
     duality_gap,
+    keep_what_passes,
     pursue,
     PursuitSettings,
 )
@@ -245,3 +246,18 @@ def test_path_that_passes_only_off_the_grid_is_found():
     assert len(result.paths) == 1
     assert np.abs(result.paths.positions[0] - truth).max() < 0.05
     assert result.paths.statistic(0) == pytest.approx(6.6, rel=1e-3)
+
+
+@pytest.mark.parametrize('name', SCENES)
+def test_what_is_kept_of_a_convex_solution_is_one_path_for_each_target(name):
+    result, _ = solve(scene(name, 5), (1.0,))
+    paths = result.paths
+    n_spread = len(paths)
+    keep_what_passes(paths)
+    assert len(paths) == len(SCENES[name]) <= n_spread
+    for path in range(len(paths)):
+        assert paths.statistic(path) > paths.penalties[path]
+        np.testing.assert_allclose(paths.amplitudes[path], paths.best(path), atol=0.5)
+    kept = paths.residual.copy()
+    paths.refresh()
+    np.testing.assert_allclose(kept, paths.residual, atol=1e-4)

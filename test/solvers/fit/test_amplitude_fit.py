@@ -8,7 +8,12 @@ import naive
 from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, SIGNED
 from track_before_detect.kernels.fit import group_lasso
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
-from track_before_detect.solvers.fit.amplitude_fit import fit_amplitudes, objective
+from track_before_detect.solvers.fit.amplitude_fit import (
+    fit_amplitudes,
+    MOST_FOR_NEWTON,
+    objective,
+)
+from track_before_detect.solvers.watch import Watch
 
 
 def problem(seed, n_paths=6, n_frames=4, spread=0.3, sigma=2.0, amplitude=9.0, masked=False):
@@ -136,3 +141,27 @@ def test_two_equal_paths_share_what_one_has():
         both, _ = fit(columns, data, t, NON_NEGATIVE, np.full(2, 3.0))
         one, _ = fit(columns[:, :, :1], data, t, NON_NEGATIVE, np.full(1, 3.0))
         np.testing.assert_allclose(both.sum(axis=0), one[0], atol=1e-4)
+
+
+@pytest.mark.parametrize('non_negative', [True, False])
+def test_many_paths_reach_the_optimum_with_a_limited_time_too(non_negative):
+    columns, data = problem(1, n_paths=MOST_FOR_NEWTON + 10, spread=6.0, sigma=0.6)
+    matched, gram, energy = in_numbers(columns, data)
+    weights = np.full(len(matched), 3.0)
+    model = AMPLITUDE_MODELS[NON_NEGATIVE if non_negative else SIGNED]
+    values = []
+    for watch in (None, Watch(60.0)):
+        amplitudes, converged = fit_amplitudes(np.zeros(matched.shape), matched, gram, weights,
+                                               1.0, model, energy, 1e-3, watch=watch)
+        assert converged and amplitudes.any()
+        values.append(objective(amplitudes, matched, gram, weights, 1.0))
+    assert values[0] == pytest.approx(values[1], abs=1e-3)
+
+
+def test_many_paths_are_left_when_the_time_is_up():
+    columns, data = problem(1, n_paths=MOST_FOR_NEWTON + 10, spread=6.0, sigma=3.0)
+    matched, gram, energy = in_numbers(columns, data)
+    _, converged = fit_amplitudes(
+        np.zeros(matched.shape), matched, gram, np.full(len(matched), 3.0), 1.0,
+        AMPLITUDE_MODELS[NON_NEGATIVE], energy, 1e-12, watch=Watch(1e-9))
+    assert not converged

@@ -70,32 +70,36 @@ class ClutterDetector(PathDetector):
         found: list[FoundTrajectory] = []
         rejected: list[FoundTrajectory] = []
         status = 'iteration_limit'
-        paths = self._strongest(task, frames)
-        while paths and len(found) + len(rejected) < MOST_TRAJECTORIES:
-            path = max((_refined(refiner, frames, path) for path in paths[:N_REFINED]),
+        others, level, least = self._strongest(task, frames), math.inf, math.inf
+        share = math.pi * (EXPECTED * self.measurement.width_px) ** 2 / np.prod(frames.shape[1:])
+        while len(found) + len(rejected) < MOST_TRAJECTORIES and not task.watch.time_is_up():
+            if not others:
+                status = 'converged'
+                break
+            path = max((_refined(refiner, frames, path) for path in others[:N_REFINED]),
                        key=lambda path: path.value)
             self._set_aside(frames, path.positions)
             others = self._strongest(task, frames)
             tail = self._tail(others, frames.shape[1:])
-            level = tail.threshold(rate)
+            level, least = tail.threshold(rate), tail.threshold(rate, min(float(share), 1.0))
             trajectory = self._trajectory(task, path, level)
             if trajectory.statistic <= 1:
-                paths.insert(0, path)
+                others.insert(0, path)
                 status = 'converged'
                 break
             reason = self._reason(task, trajectory)
             (rejected if reason else found).append(replace(trajectory, reason=reason))
-            paths = others
-        if not paths:
-            return BatchResult(found, 1.0, 'converged', [], float('nan'), rejected)
-        share = math.pi * (EXPECTED * self.measurement.width_px) ** 2 / np.prod(frames.shape[1:])
-        least = tail.threshold(rate, min(float(share), 1.0))
-        rejected += [self._trajectory(task, path, level, BELOW) for path in paths
+        rejected += [self._trajectory(task, path, level, BELOW) for path in others
                      if self.scale.statistic(path.value, len(frames)) > least]
-        strongest = max((path.value for path in paths), default=0.0)
-        history = [Step(0.0, float('nan'), len(found),
-                        self.scale.statistic(strongest, len(frames)) / level - 1)]
-        return BatchResult(found, 1.0, status, history, float('nan'), rejected)
+        strongest = max((path.value for path in others), default=0.0)
+        best = self.scale.statistic(strongest, len(frames)) / level
+        history = [Step(0.0, float('nan'), len(found), best - 1)]
+        return BatchResult(found, 1.0, task.watch.status(status), history,
+                           best_statistic=best, rejected=rejected)
+
+    def _passes_everywhere(self, task: Task) -> bool:
+        # Whatever the frames hold, few paths stand out from the others.
+        return False
 
     def _threshold(self, *_: object) -> float:
         return 1.0

@@ -40,11 +40,11 @@ class ConvexDetector(PathDetector):
         """Find the paths of a batch."""
         paths = task.paths
         result = pursue(task.search, refiner_for(task.targets), paths, self._separation,
-                        PursuitSettings(self.options.continuation), self._start(task))
+                        PursuitSettings(self.options.continuation), self._start(task), task.watch)
         self._merge_duplicates(task, result.history)
         # Less their costs, so that every statistic meets the same threshold.
         found = [self.trajectory(paths, path, paths.value(path)) for path in range(len(paths))]
-        return self.result(paths, found, result.status, result.history, result.gap)
+        return self.result(task, found, result.status, result.history, result.largest, result.gap)
 
     def _merge_duplicates(self, task: Task, history: list[Step]) -> None:
         """Leave one path for each target, though it may look unlike the PSF.
@@ -55,7 +55,7 @@ class ConvexDetector(PathDetector):
         if self.options.continuation[-1] > 0:
             return
         paths, psf = task.paths, task.targets.measurement
-        widths = DuplicateSearch(task.targets, paths).merge()
+        widths = DuplicateSearch(task.targets, paths, task.watch).merge()
         if not len(widths):
             return
         history.append(state_of(paths, 0.0))

@@ -27,6 +27,7 @@ from track_before_detect.solvers.convex.extended_target import (
 )
 from track_before_detect.solvers.fit.working_set import Source, WorkingSet
 from track_before_detect.solvers.refine.target_model import TargetModel
+from track_before_detect.solvers.watch import Watch
 
 # Fewer frames tell too little about a shape.
 LEAST_FRAMES = 8
@@ -55,11 +56,14 @@ class DuplicateSearch:
         What is known of the targets.
     paths : WorkingSet
         The solution.
+    watch : Watch
+        Says when the time is up: what is not looked at by then stays.
     """
 
-    def __init__(self, targets: TargetModel, paths: WorkingSet):
+    def __init__(self, targets: TargetModel, paths: WorkingSet, watch: Watch):
         self._fitter = ExtendedTargetFitter(targets)
         self._paths = paths
+        self._watch = watch
         self._width = targets.measurement.width_px
 
     def merge(self) -> NDArray[np.float64]:
@@ -76,6 +80,8 @@ class DuplicateSearch:
         left = np.array([paths.n_present(path) >= LEAST_FRAMES for path in range(len(paths))],
                         bool)
         for path in np.argsort(-np.linalg.norm(paths.amplitudes, axis=1)):
+            if self._watch.time_is_up():
+                break
             if not left[path]:
                 continue
             left[path] = False
@@ -111,7 +117,7 @@ class DuplicateSearch:
                 ) -> tuple[NDArray[np.int64], ExtendedTarget | None]:
         """Return as :meth:`_target_at` does, of some of these others."""
         paths = self._paths
-        while len(others):
+        while len(others) and not self._watch.time_is_up():
             members = np.append(path, others)
             with paths.without(*members) as frames:
                 extended = self._fitter.fit(frames, paths.positions[path], paths.costs[path],
@@ -183,6 +189,8 @@ class DuplicateSearch:
         dropped = []
         kept = around[np.argsort(-np.linalg.norm(paths.amplitudes[around], axis=1))]
         for path in kept[::-1]:
+            if self._watch.time_is_up():
+                break
             self._set(path, np.zeros_like(paths.amplitudes[path]))
             others = kept[kept != path]
             for _ in range(SWEEPS):

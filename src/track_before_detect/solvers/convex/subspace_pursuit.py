@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from track_before_detect.solvers.fit.working_set import FIT_GAP, WorkingSet
 from track_before_detect.solvers.refine.refinement import PathRefiner
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
+from track_before_detect.solvers.watch import Watch
 from track_before_detect.types import Step
 
 StepT = TypeVar('StepT')
@@ -56,6 +57,8 @@ NOISE_PER_FRAME = 0.5
 MOVING_ROUNDS = 3
 # Share of the separation of new paths at which they are added then, for neighbours are wanted.
 SIDE_BY_SIDE = 0.3
+# Most overlapping paths that are fitted together when the time is up.
+QUICKLY_FITTED = 30
 # Duality gap of the amplitudes of a convex solution that is the result.
 CERTIFIED_GAP = 1e-9
 # The same for a stage before the last, as a share of what a path has to gain: it only starts the
@@ -94,22 +97,26 @@ class PursuitResult:
     paths : WorkingSet
         Paths, amplitudes, residual.
     status : str
-        ``"converged"`` or ``"iteration_limit"``.
+        ``"converged"``, ``"iteration_limit"`` or ``"time_limit"``.
     history : list of Step
         One entry for each round.
     gap : float
         Duality gap at the end of the stage t = 1, NaN without one.
+    largest : float
+        Largest value of any path of the grid on the residual that was searched last.
     """
 
     paths: WorkingSet
     status: str
     history: list[Step]
     gap: float
+    largest: float
 
 
 def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separation: float,
-           settings: PursuitSettings, start: Sequence[FoundPath] = ()) -> PursuitResult:
-    """Find all paths jointly.
+           settings: PursuitSettings, start: Sequence[FoundPath] = (),
+           watch: Watch | None = None) -> PursuitResult:
+    """Find all paths jointly, or as many as there is time for.
 
     Parameters
     ----------
@@ -125,14 +132,18 @@ def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separati
         Schedule and tolerances.
     start : sequence of FoundPath
         Paths that are tried before the first search, in this order.
+    watch : Watch, optional
+        Says when the time is up; it never is unless given.
     """
+    watch = watch or Watch()
     history: list[Step] = []
     status = 'converged'
-    gap = float('nan')
+    gap = largest = float('nan')
     for number, t_convex in enumerate(settings.continuation):
         last = number == len(settings.continuation) - 1
         tolerance = settings.tolerance if last else settings.stage_tolerance
-        stage = _Stage(search, refiner, paths, separation, t_convex, last)
+        watch.begin_stage(number, len(settings.continuation))
+        stage = _Stage(search, refiner, paths, separation, t_convex, last, watch)
         if number == 0:
             stage.begin(start)
         if number == 0 or last or t_convex == 1.0:
@@ -141,9 +152,42 @@ def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separati
             finished = stage.polish(history)
         if not finished:
             status = 'iteration_limit'
+        if watch.stopped:
+            break
         if t_convex == 1.0:
             gap = duality_gap(paths, largest)
-    return PursuitResult(paths, status, history, gap)
+    if watch.stopped and settings.continuation[-1] < 1.0:
+        keep_what_passes(paths)
+        history.append(state_of(paths, 0.0))
+    return PursuitResult(paths, watch.status(status), history, gap, largest)
+
+
+def keep_what_passes(paths: WorkingSet) -> None:
+    """Leave the paths that pass their penalties beside each other, with the amplitudes of t = 0.
+
+    What is at hand when the time is up may be shrunk, and several paths for one target. The
+    strongest are taken first, as the plain greedy method does, then the weakest that do not pass
+    beside the others are left out until each does: without a search and without a fit of many
+    paths, in a time that is bounded by their number.
+    """
+    order = np.argsort(-np.linalg.norm(paths.amplitudes, axis=1))
+    paths.assign(order, np.zeros_like(paths.amplitudes))
+    for path in order:
+        if paths.statistic(path) > paths.penalties[path]:
+            paths.assign(np.array([path]), paths.best(path)[None])
+    while True:
+        paths.remove(np.flatnonzero(~np.any(paths.amplitudes, axis=1)))
+        for members in paths.clusters():
+            if len(members) <= QUICKLY_FITTED:
+                paths.assign(members, paths.fitted(members, 0.0)[1])
+        n_kept = len(paths)
+        for path in np.argsort(np.linalg.norm(paths.amplitudes, axis=1)):
+            if paths.statistic(path) <= paths.penalties[path]:
+                paths.assign(np.array([path]), np.zeros_like(paths.amplitudes[[path]]))
+                n_kept -= 1
+        if n_kept == len(paths):
+            break
+    paths.refresh()
 
 
 def duality_gap(paths: WorkingSet, largest: float) -> float:
@@ -184,7 +228,7 @@ class _Stage:
     """The pursuit at one value of t."""
 
     def __init__(self, search: PathSearch, refiner: PathRefiner, paths: WorkingSet,
-                 separation: float, t_convex: float, last: bool):
+                 separation: float, t_convex: float, last: bool, watch: Watch):
         self._search = search
         self._refiner = refiner
         self._paths = paths
@@ -199,6 +243,7 @@ class _Stage:
         else:
             self._fit_gap = FIT_GAP if last else STAGE_GAP * paths.threshold**2
         self._last = last
+        self._watch = watch
         self._most_passes = MOST_PASSES if last and t_convex < 1 else 1
         self._cut_short = False
         # Ids of the paths that took the place of others, and moved for it, in this pass.
@@ -232,11 +277,14 @@ class _Stage:
             frozen = self._certified and number >= MOVING_ROUNDS
             fitted = self._fit_all() if frozen else self._improve()
             paths.refresh()
+            if self._watch.time_is_up():
+                return largest, False
             separation = SIDE_BY_SIDE * self._separation if frozen else self._separation
             largest, found = self._search.best_paths(
                 paths.residual, level, separation, self._is_new(separation), MOST_NEW_PATHS)
             violation = paths.model.from_value(largest) / paths.threshold - 1
             history.append(state_of(paths, self._t, violation))
+            self._watch.end_round()
             if not found:
                 return largest, fitted and largest <= bound
             if len(paths) >= MOST_PATHS:
@@ -265,12 +313,12 @@ class _Stage:
         return fitted
 
     def _while_affordable(self, steps: Iterable[StepT]) -> Iterator[StepT]:
-        """Yield what is to be fitted next until the fits of the batch have taken enough.
+        """Yield what is to be fitted next until the fits of the batch have taken enough, or time.
 
         Every loop that fits goes through here, so that a stage which has to end runs out of steps.
         """
         for step in steps:
-            if self._paths.work > MOST_WORK:
+            if self._paths.work > MOST_WORK or self._watch.time_is_up():
                 self._cut_short = True
                 return
             yield step
@@ -302,7 +350,7 @@ class _Stage:
             return False
         members = paths.neighbours(added)
         before = paths.objective_of(members, self._t)
-        after, amplitudes, _ = paths.fitted(members, self._t, self._fit_gap)
+        after, amplitudes, _ = self._fitted(members)
         if after < before - LEAST_GAIN:
             paths.assign(members, amplitudes)
             return True
@@ -371,9 +419,13 @@ class _Stage:
             if len(others):
                 self._fit(others - (others > weakest))
 
+    def _fitted(self, members: NDArray) -> tuple[float, NDArray, bool]:
+        """Return as :meth:`WorkingSet.fitted` does, at this stage."""
+        return self._paths.fitted(members, self._t, self._fit_gap, self._watch)
+
     def _fit(self, members: NDArray) -> bool:
         """Fit some amplitudes, all others fixed; return whether that converged."""
-        _, amplitudes, converged = self._paths.fitted(members, self._t, self._fit_gap)
+        _, amplitudes, converged = self._fitted(members)
         self._paths.assign(members, amplitudes)
         return converged
 
@@ -407,7 +459,7 @@ class _Stage:
             return False
         before = paths.objective_of(members, self._t)
         others = members[members != path]
-        after, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
+        after, amplitudes, _ = self._fitted(others)
         if after < before - LEAST_GAIN:
             paths.assign(others, amplitudes)
             paths.remove(np.array([path]))
@@ -423,10 +475,10 @@ class _Stage:
         kept = (paths.amplitudes.copy(), paths.positions[other], paths.costs[other])
         others = members[members != path]
         paths.assign(np.array([path]), np.zeros((1, paths.amplitudes.shape[1])))
-        _, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
+        _, amplitudes, _ = self._fitted(others)
         paths.assign(others, amplitudes)
         moved = self._refine(other)
-        after, amplitudes, _ = paths.fitted(others, self._t, self._fit_gap)
+        after, amplitudes, _ = self._fitted(others)
         margin = max(MERGING_GAIN - NOISE_PER_FRAME * (len(paths.frames) - 1), 0.0)
         if after < before - LEAST_GAIN - margin * (1 - self._t)**2:
             paths.assign(others, amplitudes)

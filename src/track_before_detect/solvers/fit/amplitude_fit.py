@@ -8,10 +8,15 @@ from numpy.typing import NDArray
 from track_before_detect.kernels.fit import constant_modulus, group_lasso, least_squares
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.solvers.fit import bounded_moduli
+from track_before_detect.solvers.watch import Watch
 
 MOST_ROUNDS = 200
 # Sweeps over amplitudes of constant modulus: at t = 1 another method takes over from there.
 MOST_SWEEPS, SWEEPS_AT_FIRST = 2000, 300
+# A Newton step of more paths takes seconds and cannot be left: where the time is limited they are
+# fitted by sweeps, so many between two looks at the watch, and so often at most.
+MOST_FOR_NEWTON = 150
+SWEEPS_AT_A_TIME, MOST_LOOKS = 20, 100
 # Share of the energy of the data below which a duality gap is lost in rounding, and that to which
 # moduli are bounded.
 ROUNDING = 1e-12
@@ -20,7 +25,8 @@ MODULI_ROUNDING = 1e-10
 
 def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, penalties: NDArray,
                    t_convex: float, model: AmplitudeModel, energy: float,
-                   gap: float, envelopes: NDArray | None = None) -> tuple[NDArray, bool]:
+                   gap: float, envelopes: NDArray | None = None,
+                   watch: Watch | None = None) -> tuple[NDArray, bool]:
     """Minimise 1/2 x'Gx - h'x + t sum w_p |x_p| over the amplitudes x of given paths.
 
     Moduli that are constant are held so at t < 1, where they end at a stationary point that is no
@@ -47,6 +53,8 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, penalti
         Duality gap to reach where t > 0; at t = 0 the optimum is reached to rounding.
     envelopes : array, shape (P, T), optional
         Of constant amplitudes: how they are in proportion, of unit norm; all equal unless given.
+    watch : Watch, optional
+        Says when the time is up: many paths are then left as they are.
 
     Returns
     -------
@@ -75,10 +83,16 @@ def fit_amplitudes(amplitudes: NDArray, matched: NDArray, gram: NDArray, penalti
         # Columns over their penalties have the one penalty t.
         x *= penalties[:, None, None]
         wanted = max(gap, ROUNDING * energy)
-        reached, _ = group_lasso.solve(
-            x, matched / penalties[:, None, None],
-            gram / (penalties[:, None] * penalties)[:, :, None], np.empty_like(x), t_convex,
-            non_negative, energy, wanted, MOST_ROUNDS)
+        problem = (matched / penalties[:, None, None],
+                   gram / (penalties[:, None] * penalties)[:, :, None], np.empty_like(x), t_convex,
+                   non_negative, energy, wanted)
+        if watch is None or not watch.is_limited or len(x) <= MOST_FOR_NEWTON:
+            reached, _ = group_lasso.solve(x, *problem, MOST_ROUNDS)
+        else:
+            for _ in range(MOST_LOOKS):
+                reached, _ = group_lasso.descend(x, *problem, SWEEPS_AT_A_TIME)
+                if reached <= wanted or watch.time_is_up():
+                    break
         converged = reached <= wanted
         x /= penalties[:, None, None]
     fitted = x[:, 0] + 1j * x[:, 1] if model.is_complex else x[:, 0]

@@ -21,6 +21,7 @@ from track_before_detect.kernels.psf.measurement import render_path, whole_norm
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.solvers.fit.amplitude_fit import fit_amplitudes, objective
+from track_before_detect.solvers.watch import Watch
 
 # Duality gap, in units of F_t, to which amplitudes are fitted: F_t is compared to 1e-3.
 FIT_GAP = 1e-4
@@ -239,8 +240,11 @@ class WorkingSet:
         self._pairs = self._pairs[np.ix_(keep, keep)]
 
     def fitted(self, members: NDArray, t_convex: float,
-               gap: float = FIT_GAP) -> tuple[float, NDArray, bool]:
+               gap: float = FIT_GAP, watch: Watch | None = None,
+               ) -> tuple[float, NDArray, bool]:
         """Fit the amplitudes of some paths to a duality gap, all others fixed.
+
+        Or, of many paths, until the ``watch`` says that the time is up.
 
         Returns
         -------
@@ -253,7 +257,7 @@ class WorkingSet:
         problem = self._problem(members)
         amplitudes, converged = fit_amplitudes(self.amplitudes[members], *problem, t_convex,
                                                self.model, self.energy, gap,
-                                               self._envelopes[members])
+                                               self._envelopes[members], watch)
         norms = self.model.norms(amplitudes, self._envelopes[members])
         return objective(amplitudes, *problem, t_convex, norms), amplitudes, converged
 
@@ -417,12 +421,21 @@ class WorkingSet:
 
         On the residual, the amplitudes of those that are held fixed.
         """
-        stamps = self._renderer.render(positions)
-        seen = self._seen_by(stamps)
         model = self.model
-        excess = (model.value(model.statistic(seen, self._envelope(stamps.norms)))
-                  - model.value(self._penalty(stamps.norms, cost)))
-        return excess > model.grid_level(self.threshold) - model.value(self.threshold)
+        return (self.excess_at(positions, cost)
+                > model.grid_level(self.threshold) - model.value(self.threshold))
+
+    def excess_at(self, positions: NDArray, cost: float) -> float:
+        """Return by how much a path that is not held exceeds its penalty on the residual.
+
+        As a value; NaN where the frames show nothing of it.
+        """
+        stamps = self._renderer.render(positions)
+        if not stamps.norms.any():
+            return float('nan')
+        model = self.model
+        statistic = model.statistic(self._seen_by(stamps), self._envelope(stamps.norms))
+        return model.value(statistic) - model.value(self._penalty(stamps.norms, cost))
 
     def residual_statistic(self, path: int) -> NDArray:
         """Return the matched filter statistic of the residual along a path, shape (T,)."""

@@ -35,6 +35,7 @@ from track_before_detect.solvers.ring.crossings import with_crossings_resolved
 from track_before_detect.solvers.ring.dynamic_programming import found_one_by_one
 from track_before_detect.solvers.ring.linking import LinkedTrajectory
 from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.solvers.watch import Watch
 from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress
 
@@ -119,11 +120,14 @@ class MeritDetector(BatchDetector):
         rounds = self._rounds(regular, self._v_max(stamps, shape), usable_cores())
         found: list[NDArray] = []
         status = 'iteration_limit'
+        watch = Watch(self.options.max_time_s, progress)
         for trajectory, seen in itertools.islice(rounds, MOST_ROUNDS):
             if not _statistic(seen[places]) > threshold:
                 status = 'converged'
                 break
             found.append(np.column_stack([trajectory.positions, seen])[places])
+            if watch.time_is_up():
+                break
         else:
             if len(found) < MOST_ROUNDS:
                 status = 'converged'
@@ -131,7 +135,7 @@ class MeritDetector(BatchDetector):
                                 float(np.nanmean(rows[:, 2])))
                 for rows in with_crossings_resolved(found) if _statistic(rows[:, 2]) > threshold]
         kept.sort(key=lambda one: -one.statistic)
-        return BatchResult(kept, threshold, status, [], float('nan'))
+        return BatchResult(kept, threshold, watch.status(status), [])
 
     def _rounds(self, frames: NDArray, v_max: int,
                 n_threads: int) -> Iterator[tuple[LinkedTrajectory, NDArray[np.float64]]]:

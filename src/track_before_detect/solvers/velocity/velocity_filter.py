@@ -37,6 +37,7 @@ from track_before_detect.solvers.batch_detector import (
 from track_before_detect.solvers.calibration.noise_study import CROP_PX, NoiseStudy
 from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.velocity.shift_and_stack import VelocityStack
+from track_before_detect.solvers.watch import Watch
 from track_before_detect.types import FrameBatch, Progress, Step
 
 _LOG = logging.getLogger(__name__)
@@ -151,39 +152,44 @@ class VelocityFilterDetector(BatchDetector):
         grid = self.grid(stamps, shape)
         threshold = self.threshold(stamps, shape, progress)
         stack = self._stack(grid, shape, usable_cores())
-        return self._solve(_Batch(frames, weights, self.psf, stack, self._signed), threshold)
+        return self._solve(_Batch(frames, weights, self.psf, stack, self._signed), threshold,
+                           Watch(self.options.max_time_s, progress))
 
     def _stack(self, grid: VelocityGrid, shape: tuple[int, int],
                n_threads: int) -> VelocityStack:
         return VelocityStack(grid, shape, LEAST_BATCH_SHARE * len(grid.times), self._signed,
                              n_threads)
 
-    def _solve(self, batch: _Batch, threshold: float) -> BatchResult:
+    def _solve(self, batch: _Batch, threshold: float, watch: Watch) -> BatchResult:
         """Take lines off the frames until none is left."""
         found: list[_Line] = []
         history = []
         status = 'iteration_limit'
         for _ in range(MOST_ROUNDS):
-            largest, new = self._round(batch, threshold, found)
+            largest, new = self._round(batch, threshold, found, watch)
             history.append(Step(0.0, math.nan, len(found), largest / threshold - 1))
             if not new:
                 status = 'converged'
                 break
             found += new
+            if watch.time_is_up():
+                break
             batch.subtract(new)
         found.sort(key=lambda line: -line.statistic)
         return BatchResult(
             [FoundTrajectory(line.positions,
                              np.where(line.inside, batch.whole_norm * line.amplitude, np.nan),
                              line.statistic, line.snr) for line in found],
-            threshold, status, history, math.nan)
+            threshold, watch.status(status), history)
 
-    def _round(self, batch: _Batch, threshold: float,
-               found: list[_Line]) -> tuple[float, list[_Line]]:
+    def _round(self, batch: _Batch, threshold: float, found: list[_Line],
+               watch: Watch) -> tuple[float, list[_Line]]:
         """Return the largest statistic, and lines above the threshold that are far apart."""
         largest = 0.0
         new: list[_Line] = []
         for y, x in batch.places(GRID_SHARE * threshold, MOST_CANDIDATES):
+            if watch.time_is_up():
+                break
             start = batch.line(y, x)
             if any(_distance(start, other).min() < APART_WIDTHS * self.psf.width_px
                    for other in new):
@@ -290,10 +296,15 @@ class _Batch:
             accumulate(self._residual, stamps, origins,
                        np.where(line.inside, -line.amplitude * norms, 0.0))
         self._measure()
+        boxes = []
         for line in lines:
             x, y = line.positions[line.inside].T
-            box = (max(0, math.floor(y.min()) - reach), min(n_y, math.ceil(y.max()) + reach + 1),
-                   max(0, math.floor(x.min()) - reach), min(n_x, math.ceil(x.max()) + reach + 1))
+            boxes.append((
+                max(0, math.floor(y.min()) - reach), min(n_y, math.ceil(y.max()) + reach + 1),
+                max(0, math.floor(x.min()) - reach), min(n_x, math.ceil(x.max()) + reach + 1)))
+        if sum((bottom - top) * (right - left) for top, bottom, left, right in boxes) > n_y * n_x:
+            boxes = [(0, n_y, 0, n_x)]
+        for box in boxes:
             self.stack.run(self._psi, self._phi, box)
 
     def _measure(self) -> None:

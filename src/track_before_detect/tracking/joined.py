@@ -1,0 +1,123 @@
+"""The trajectories of successive batches as one for each identity."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.models.presence import frames_seen_in
+from track_before_detect.types import Trajectory
+
+
+@dataclass(frozen=True)
+class _Part:
+    """What one batch knows of an identity."""
+
+    batch: int
+    trajectory: Trajectory
+
+
+class JoinedTrajectories:
+    """Trajectories over all frames, each frame from the batch that holds it deepest inside.
+
+    A target that is followed through the whole of a batch may have entered or left during it. What
+    tells is the batch before, or after, which shares frames with that one and has not found it: it
+    is then reported from where, or up to where, its amplitude says that it is there.
+
+    Parameters
+    ----------
+    stamps : array, shape (T,)
+        Of all frames, in seconds.
+    width_px : float
+        Of the point spread function: two targets that are nearer in most frames of one of them
+        cannot be told apart, and the one with the smaller statistic is left out.
+    """
+
+    def __init__(self, stamps: NDArray[np.float64], width_px: float):
+        self._stamps = stamps
+        self._width_px = max(width_px, 1.0)
+        self._parts: dict[int, list[_Part]] = {}
+        self._batches: list[NDArray[np.int64]] = []
+
+    def add(self, frame_indices: NDArray[np.int64], trajectories: list[Trajectory]) -> None:
+        """Add what was found in a batch of frames, the batches in their order."""
+        for trajectory in trajectories:
+            self._parts.setdefault(trajectory.id, []).append(
+                _Part(len(self._batches), trajectory))
+        self._batches.append(frame_indices)
+
+    def trajectories(self) -> list[Trajectory]:
+        """Return one trajectory for each identity, NaN where it is absent, the best first."""
+        joined = sorted((self._join(parts) for parts in self._parts.values()),
+                        key=lambda trajectory: -trajectory.statistic)
+        kept: list[Trajectory] = []
+        for trajectory in joined:
+            if not any(self._is_part_of(trajectory, better) for better in kept):
+                kept.append(trajectory)
+        return kept
+
+    def _is_part_of(self, one: Trajectory, other: Trajectory) -> bool:
+        """Return whether a trajectory is with another one in most of its frames."""
+        distance = np.hypot(*(one.positions - other.positions).T)
+        n_near = np.count_nonzero(distance < self._width_px)
+        return bool(n_near > 0.5 * np.count_nonzero(np.isfinite(one.positions[:, 0])))
+
+    def _join(self, parts: list[_Part]) -> Trajectory:
+        n_frames = len(self._stamps)
+        depth = np.full(n_frames, -1)
+        positions = np.full((n_frames, 2), np.nan)
+        velocity = np.full((n_frames, 2), np.nan)
+        trajectories = [part.trajectory for part in parts]
+        # Complex where those of a part are.
+        amplitudes = np.full(n_frames, np.nan,
+                             np.result_type(*[one.amplitudes for one in trajectories]))
+        there = [np.ones(len(one.frame_indices), bool) for one in trajectories]
+        last = len(parts) - 1
+        for end, beside, towards in ((0, min(1, last), -1), (last, max(last - 1, 0), 1)):
+            there[end] &= self._there(parts[end], trajectories[beside], towards)
+        for one, seen in zip(trajectories, there, strict=True):
+            own = np.arange(len(one.frame_indices))
+            inside = np.minimum(own, own[::-1])
+            better = inside > depth[one.frame_indices]
+            rows = one.frame_indices[better]
+            depth[rows] = inside[better]
+            positions[rows] = np.where(seen[:, None], one.positions, np.nan)[better]
+            velocity[rows] = np.where(seen[:, None], one.velocity, np.nan)[better]
+            amplitudes[rows] = np.where(seen, one.amplitudes, np.nan)[better]
+        best = max(trajectories, key=lambda part: part.statistic)
+        return Trajectory(best.id, positions, amplitudes, velocity, self._stamps,
+                          np.arange(n_frames), best.statistic,
+                          float(np.mean([part.snr for part in trajectories])))
+
+    def _there(self, part: _Part, beside: Trajectory, towards: int) -> NDArray[np.bool_]:
+        """Return in which frames of a part its target may be, for one end of a trajectory.
+
+        ``part`` is the first (``towards`` -1) or last one (1) of it, ``beside`` that next to it
+        if there is one: the mean amplitude of a target that enters or leaves is best seen there.
+        """
+        one, number = part.trajectory, part.batch + towards
+        there = np.ones(len(one.frame_indices), bool)
+        present = np.flatnonzero(np.isfinite(one.positions[:, 0]))
+        size = np.nan_to_num(np.abs(one.amplitudes[present]))
+        overlaps = (0 <= number < len(self._batches)
+                    and np.isin(one.frame_indices, self._batches[number]).any())
+        if overlaps and size.any():
+            # In units of the noise, as the mean over the frames is known to be.
+            seen = size * one.snr / size.mean()
+            first, last = frames_seen_in(seen, max(_brightest_mean(seen), beside.snr))
+            if towards < 0:
+                there[:present[first]] = False
+            else:
+                there[present[last] + 1:] = False
+        return there
+
+
+def _brightest_mean(seen: NDArray[np.float64]) -> float:
+    """Return the mean amplitude of the run of frames that a constant one explains best."""
+    first, last = np.triu_indices(len(seen))
+    before = np.append(0.0, np.cumsum(seen))
+    sums, lengths = before[last + 1] - before[first], last + 1 - first
+    best = np.argmax(sums / np.sqrt(lengths))
+    return float(sums[best] / lengths[best])

@@ -1,0 +1,65 @@
+"""Parts of successive batches become one trajectory for each target."""
+
+import numpy as np
+import pytest
+
+from track_before_detect.tracking.joined import JoinedTrajectories
+from track_before_detect.types import Trajectory
+
+
+def part(identity, first, amplitudes, offset=0.0, statistic=20.0):
+    """Return a trajectory of one batch, in units of the noise times three."""
+    amplitudes = np.asarray(amplitudes, float)
+    frames = first + np.arange(len(amplitudes))
+    positions = np.column_stack([0.5 * frames, np.full(len(frames), 7.0 + offset)])
+    return Trajectory(identity, positions, 3 * amplitudes, np.ones_like(positions),
+                      frames / 25, frames, statistic, float(amplitudes.mean()))
+
+
+def joined(n_frames, *parts, length=20, hop=10):
+    together = JoinedTrajectories(np.arange(n_frames) / 25, 1.0)
+    for first in range(0, n_frames - length + 1, hop):
+        together.add(np.arange(first, first + length),
+                     [one for one in parts if one.frame_indices[0] == first])
+    return together.trajectories()
+
+
+def rows(trajectory):
+    return np.flatnonzero(np.isfinite(trajectory.positions[:, 0]))
+
+
+NOISE = np.tile([0.0, 1.1, 0.4, 1.6], 5)
+
+
+@pytest.mark.parametrize('n_seen', [2, 9, 17])
+def test_a_part_begins_and_ends_where_its_target_is_seen(n_seen):
+    entering, leaving = NOISE.copy(), NOISE.copy()
+    entering[-n_seen:] = leaving[:n_seen] = 6.0
+    [one] = joined(60, part(1, 10, entering), part(1, 20, leaving))
+    assert rows(one).tolist() == list(range(30 - n_seen, 20 + n_seen))
+    for values in (one.velocity[:, 0], one.amplitudes):
+        np.testing.assert_array_equal(np.flatnonzero(np.isfinite(values)), rows(one))
+
+
+def test_nothing_is_cut_off_where_no_other_batch_has_looked():
+    entering = NOISE.copy()
+    entering[-5:] = 6.0
+    [one] = joined(20, part(1, 0, entering))
+    assert len(rows(one)) == 20
+    [one] = joined(40, part(1, 20, entering), hop=20)
+    assert rows(one).tolist() == list(range(20, 40))
+
+
+def test_a_steady_dim_target_keeps_its_frames():
+    [one] = joined(60, part(1, 20, np.full(20, 1.5)))
+    assert rows(one).tolist() == list(range(20, 40))
+
+
+def test_what_is_with_a_better_one_in_its_frames_is_no_other_target():
+    leaving = NOISE.copy()
+    leaving[:3] = 5.0
+    better = [part(1, first, np.full(20, 6.0)) for first in (0, 10, 20)]
+    found = joined(60, *better, part(2, 30, leaving, 0.5, 12.0), part(1, 30, leaving))
+    assert [one.id for one in found] == [1]
+    apart = joined(60, *better, part(2, 20, np.full(20, 6.0), 2.0, 12.0))
+    assert [one.id for one in apart] == [1, 2]
