@@ -114,6 +114,8 @@ _NO_SCHEDULE = Limit('continuation', 'only convex goes from a convex objective t
 _NO_STREAKS = Limit('exposure_s', 'it takes an exposure for a moment; convex and greedy search '
                     'streaks')
 _WHOLE_BATCH = Limit('presence', 'it follows a target through the whole batch')
+_ONE_MODEL = Limit('amplitude_model', 'it cancels targets with one model of their amplitudes',
+                   ('constant',))
 _ANY_MOTION = 'it bounds the speed and nothing else'
 _BOUNDED_SPEED = (
     Limit('motion_model', _ANY_MOTION, ('static',)), Limit('max_acceleration_px_s2', _ANY_MOTION))
@@ -141,10 +143,11 @@ CAPABILITIES = (
          _NO_SCHEDULE, _ONE_DIRECTION_SET)),
     Capability(
         ('mt_dp',), 'dynamic programming with target cancellation: Guo et al. 2018',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _NO_SCHEDULE, _ONE_DIRECTION_SET)),
+        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE,
+         _ONE_DIRECTION_SET)),
     Capability(
         ('pc_dp',), 'the same for each sector of directions at the same time',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _NO_SCHEDULE)),
+        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE)),
     Capability(
         ('velocity_filter',), 'shift-and-stack along straight lines',
         (_NO_STREAKS,
@@ -186,6 +189,8 @@ COMBINATIONS = (
           when=Condition('with amplitudes=complex and amplitude_model=constant',
                          lambda options: (options.amplitudes == 'complex'
                                           and options.amplitude_model == 'constant'))),
+    Limit('amplitude_model', 'a modulus that is constant gains too little to be searched beside',
+          ('constant',), when=_COMPLEX),
     Limit('variance', 'both say how much noise a pixel has', when=_with('noise', 'map')),
     Limit('hop', 'the whole recording is one batch', when=Condition(
         'without batch_length', lambda options: options.batch_length is None)),
@@ -194,7 +199,7 @@ COMBINATIONS = (
     Limit(_STREAKS, 'a target is smeared along its motion in the frame, not on the registered '
           'plane', when=_with('registration', 'translation', 'affine', 'homography')),
     Limit(_STREAKS, 'a streak has unit norm whatever its length, so what is constant of a target '
-          'is not its amplitude', when=_with('amplitude_model', 'constant')),
+          'is not its amplitude', when=_with('amplitude_model', 'constant', 'either')),
     Limit(_STREAKS, 'streaks are searched by shapes that are near to theirs, which a certificate '
           'over all paths cannot rest on',
           when=Condition('with a continuation that ends with 1',
@@ -218,7 +223,8 @@ WITHOUT_EFFECT = (
                Condition('with psf', lambda options: options.psf is not None))
       for name in ('psf_sigma_px', 'psf_model')),
     NoEffect('false_alarm_rate', 'the threshold is given',
-             Condition('with threshold', lambda options: options.threshold is not None)),
+             Condition('with threshold, but for amplitude_model=either', lambda options: (
+                 options.threshold is not None and options.amplitude_model != 'either'))),
     NoEffect('max_speed_px_s', 'targets stand still', _with('motion_model', 'static')),
     NoEffect('max_acceleration_px_s2', 'velocities do not change',
              _with('motion_model', 'constant_velocity', 'static')),

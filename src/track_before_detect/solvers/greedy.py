@@ -47,6 +47,5 @@ class GreedyDetector(PathDetector):
                 np.where(present[:, None], path.positions, np.nan),
                 np.where(present, paths.target_amplitudes(added), np.nan),
                 self.scale.statistic(path.value, len(seen)), model.snr(seen[visible])))
-        found.sort(key=lambda trajectory: -trajectory.statistic)
         threshold = self.scale.statistic(model.value(paths.threshold), len(task.times))
         return BatchResult(found, threshold, status, history, float('nan'))

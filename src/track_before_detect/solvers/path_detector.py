@@ -31,7 +31,11 @@ from track_before_detect.solvers.convex.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
 from track_before_detect.solvers.path_statistic import PathStatistic
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
-from track_before_detect.solvers.search.periodic_columns import columns_of, doppler_columns
+from track_before_detect.solvers.search.periodic_columns import (
+    columns_of,
+    doppler_columns,
+    PeriodicColumns,
+)
 from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress
 
@@ -60,6 +64,8 @@ class Task:
         What a target looks like in these frames.
     earlier : EarlierPaths or None
         Where targets of the batch before are, on the plane that is searched.
+    columns : PeriodicColumns
+        How that plane is made of the frames.
     """
 
     graph: StateGraph
@@ -69,6 +75,12 @@ class Task:
     weights: NDArray[np.float32]
     measurement: MeasurementModel
     earlier: EarlierPaths | None
+    columns: PeriodicColumns
+
+    def in_frame(self, result: BatchResult) -> BatchResult:
+        """Return a result with its targets in the frames, the strongest first."""
+        found = self.columns.in_frame(result.found)
+        return replace(result, found=sorted(found, key=lambda one: -one.statistic))
 
 
 class PathDetector(BatchDetector):
@@ -108,11 +120,19 @@ class PathDetector(BatchDetector):
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories."""
         self.check_kind(batch.frames)
+        measurement = self._measurement(batch.stamps, batch.frame_indices)
+        shape = measurement.plane_shape(batch.frames.shape[1:])
+        threshold = self._threshold(batch.stamps, measurement, shape, progress)
+        task = self.task(batch, threshold, weights, earlier)
+        return task.in_frame(self.solve(task))
+
+    def task(self, batch: FrameBatch, threshold: float, weights: NDArray | None = None,
+             earlier: EarlierPaths | None = None) -> Task:
+        """Return a batch ready to be searched with a threshold; see :meth:`detect`."""
         stamps = batch.stamps
         measurement = self._measurement(stamps, batch.frame_indices)
         shape = measurement.plane_shape(batch.frames.shape[1:])
         graph = self._graph(stamps, measurement, shape)
-        threshold = self._threshold(stamps, measurement, shape, progress)
         columns = columns_of(self.options, measurement, shape[1], graph)
         frames, weights = self._searched(columns.strip(batch.frames), weights if weights is None
                                          else columns.strip(np.asarray(weights)))
@@ -121,13 +141,12 @@ class PathDetector(BatchDetector):
             weights = np.zeros((0, 0, 0), np.float32)
         paths = WorkingSet(frames, weights, measurement,
                            self.scale.penalty(threshold, len(frames)), self.model, columns.period)
-        result = self.solve(Task(graph, search, paths, self._graphs.times(stamps, measurement),
-                                 weights, measurement, columns.on_strip(earlier)))
-        return replace(result, found=columns.in_frame(result.found))
+        return Task(graph, search, paths, self._graphs.times(stamps, measurement),
+                    weights, measurement, columns.on_strip(earlier), columns)
 
     @abstractmethod
     def solve(self, task: Task) -> BatchResult:
-        """Find the paths of a batch."""
+        """Find the paths of a batch, in the order in which its working set holds them."""
 
     def largest_value(self, search: PathSearch, measurement: MeasurementModel, times: NDArray,
                       ) -> Callable[[NDArray], float]:

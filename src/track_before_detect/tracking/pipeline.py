@@ -18,7 +18,9 @@ from track_before_detect.solvers.batch_detector import BatchDetector, FoundTraje
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.solvers.either import EitherDetector
 from track_before_detect.solvers.greedy import GreedyDetector
+from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
@@ -43,6 +45,14 @@ DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
 }
 
 
+def make_detector(options: DetectorOptions) -> BatchDetector:
+    """Return a new detector, as the options say."""
+    kind = DETECTOR_CLASSES[options.detector]
+    if options.amplitude_model == 'either' and issubclass(kind, PathDetector):
+        return EitherDetector(options, kind)
+    return kind(options)
+
+
 class TrackingPipeline:
     """Preprocessing, detection and identities over successive batches.
 
@@ -59,7 +69,7 @@ class TrackingPipeline:
     def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None,
                  detector: BatchDetector | None = None):
         self._options = options
-        self._detector = detector or DETECTOR_CLASSES[options.detector](options)
+        self._detector = detector or make_detector(options)
         self._stitcher: Stitcher = (
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []
@@ -157,6 +167,9 @@ class TrackingPipeline:
 
     def _compile(self, progress: Progress | None) -> None:
         """Run every kernel once, on a target bright enough to pass through all stages."""
+        # Either compiles what constant does, and what fluctuating does.
+        kinds = {'either': ('fluctuating', 'constant')}.get(
+            self._options.amplitude_model, (self._options.amplitude_model,))
         options = self._options.replace(
             threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
             variance=None, mask=None, doppler_ambiguities=0,
@@ -168,12 +181,14 @@ class TrackingPipeline:
         if options.amplitudes == 'complex':
             frames = frames.astype(np.complex64)
         batch = FrameBatch.of(frames, np.arange(8.0))
-        detector = DETECTOR_CLASSES[options.detector](options)
-        detector.detect(batch)
+        detectors = [make_detector(options.replace(amplitude_model=kind)) for kind in kinds]
+        for detector in detectors:
+            detector.detect(batch)
         if progress is not None:
             progress('compiling', 0.5)
         frames[:, 0, 0] = np.nan
-        detector.detect(batch)
+        for detector in detectors:
+            detector.detect(batch)
 
 
 def _check(batch: FrameBatch) -> None:

@@ -121,4 +121,4 @@ class ConvexDetector(PathDetector):
                 np.where(present, paths.target_amplitudes(path), np.nan),
                 # Less its cost, so that every statistic meets the same threshold.
                 self.scale.statistic(paths.value(path), len(seen)), model.snr(seen[visible])))
-        return sorted(found, key=lambda trajectory: -trajectory.statistic)
+        return found
