@@ -128,6 +128,17 @@ def test_dim_target_of_constant_amplitude_is_found_beside_bright_ones_that_fluct
     assert len(result.found) == 3 and error_px(result.found[-1], dim) < 1.0
 
 
+def test_dim_targets_that_cross_are_found_as_by_the_detector_told_that_they_are_constant():
+    paths = line(13, 20, 0.8, 0.0), line(17.4, 15.6, 0.0, 0.8)
+    counts = {'constant': 0, 'either': 0}
+    for seed in range(12):
+        frames = frames_of(*((path, 2.1 * STEADY) for path in paths), seed=seed)
+        for model in counts:
+            found = [one.positions for one in search(frames, model).found]
+            counts[model] += len(match_trajectories(found, np.array(paths), 2.0).pairs)
+    assert counts['either'] >= counts['constant'] - 3 and counts['constant'] > 18
+
+
 def test_noise_passes_as_rarely_as_asked(calibrate_on):
     calibrate_on(800)
     detector = make_detector(DetectorOptions(

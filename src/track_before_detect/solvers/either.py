@@ -10,9 +10,10 @@ lowers F_0 by. So a constant amplitude's statistic s is reported as sqrt(s^2 - c
 and f the thresholds of constant and fluctuating amplitudes: the threshold is f, and what is above
 it by as much is as unlikely in noise.
 
-What only the search for constant amplitudes finds has to pass its threshold on the frames less
-all that the other explains as well. Beside a bright target whose amplitude fluctuates there is
-much that no constant amplitude explains, and paths that follow it are no targets.
+Beside a bright target whose amplitude fluctuates there is much that no constant amplitude
+explains, and paths that follow it are no targets. So fluctuating amplitudes are searched first,
+and those targets of which a constant amplitude would leave enough for a path are taken off the
+frames. What only the second search finds has to pass on the frames less what only the first found.
 """
 
 from __future__ import annotations
@@ -22,7 +23,6 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import (
@@ -40,8 +40,6 @@ from track_before_detect.types import FrameBatch, Progress
 # frames of both in which they have to be.
 NEAR = 3.0
 SHARE = 0.25
-# Level of chi squared at which amplitudes are not constant.
-CHANCE = 0.01
 # What a target adds to a pixel in units of the noise from which on it shows there: its halo is
 # about as bright where it is a tenth wider than the PSF and three widths from the middle.
 SHOWN = 0.3
@@ -91,7 +89,7 @@ class EitherDetector(BatchDetector):
             then = replace(then, paths=_holding(then, _without(first, changing)))
         constant = searched_then.solve(then)
         shift = free.threshold**2 - constant.threshold**2
-        found = _joined(first, then, free.found, [
+        found = _joined(first, then, changing, free.found, [
             replace(one, statistic=math.sqrt(max(one.statistic**2 + shift, 0.0)))
             for one in constant.found])
         status = free.status if free.status != 'converged' else constant.status
@@ -109,7 +107,8 @@ class EitherDetector(BatchDetector):
                                     (given * constant / free)**2))
 
 
-def _joined(free: Task, constant: Task, fluctuating: list[FoundTrajectory],
+def _joined(free: Task, constant: Task, changing: NDArray[np.int64],
+            fluctuating: list[FoundTrajectory],
             steady: list[FoundTrajectory]) -> list[FoundTrajectory]:
     """Return each target once, for what both searches found on one scale of statistics.
 
@@ -117,22 +116,31 @@ def _joined(free: Task, constant: Task, fluctuating: list[FoundTrajectory],
     ----------
     free, constant : Task
         With the working sets of both, after the search.
+    changing : array of int
+        Paths of the first that were taken off the frames of the second.
     fluctuating, steady : list of FoundTrajectory
         What is in them, in the same order.
     """
     joined = list(fluctuating)
-    left = _holding(constant, free.paths.residual)
     alone = list(range(len(fluctuating)))
+    unmatched = []
     for path in sorted(range(len(steady)), key=lambda path: -steady[path].statistic):
         one = steady[path]
         shares = [_share_near(free, one, fluctuating[other]) for other in alone]
         if max(shares, default=0.0) > SHARE:
             partner = alone.pop(int(np.argmax(shares)))
             joined[partner] = max(joined[partner], one, key=lambda found: found.statistic)
-            continue
+        else:
+            unmatched.append(path)
+    # All others are explained by both, or were taken off before.
+    others = np.setdiff1d(np.arange(len(fluctuating)), np.setdiff1d(alone, changing))
+    with free.paths.without(*others) as frames:
+        left = _holding(constant, constant.paths.frames - (free.paths.frames - frames))
+    for path in unmatched:
         again = left.add(constant.paths.positions[path], constant.paths.costs[path])
-        if left.statistic(again) > left.penalties[again]:
-            joined.append(one)
+        seen = (constant.paths.seen(path) - constant.paths.matched[path] + left.matched[again])
+        if left.statistic(again, seen) > left.penalties[again]:
+            joined.append(steady[path])
     return joined
 
 
@@ -148,12 +156,12 @@ def _share_near(task: Task, one: FoundTrajectory, other: FoundTrajectory) -> flo
 
 
 def _changing(free: Task, constant: Task) -> NDArray[np.int64]:
-    """Return the paths of fluctuating amplitudes that no constant one explains."""
+    """Return the paths of which a constant amplitude would leave enough for one more path."""
     paths, model = free.paths, constant.paths.model
     return np.array([
         path for path in range(len(paths))
         if paths.statistic(path)**2 - paths.statistic(path, model=model)**2
-        > chdtri(max(paths.n_present(path) - 1, 1), CHANCE)], np.int64)
+        > paths.n_present(path) - 1 + constant.paths.threshold**2], np.int64)
 
 
 def _without(task: Task, paths: NDArray[np.int64]) -> NDArray:
