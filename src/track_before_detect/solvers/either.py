@@ -2,7 +2,7 @@
 
 A detector of either model searches the frames, each at half the false alarm rate, so that a batch
 of noise yields a trajectory in one of them no more often than was asked. A target that both find
-is reported once, by the model that explains it better.
+is reported once, with a constant amplitude.
 
 The squares of both statistics are compared with the squares of their thresholds. Beyond these the
 false alarms of both fall off alike, as exp(-x^2 / 2), and half the difference is what a target
@@ -128,8 +128,8 @@ def _joined(free: Task, constant: Task, changing: NDArray[np.int64],
         one = steady[path]
         shares = [_share_near(free, one, fluctuating[other]) for other in alone]
         if max(shares, default=0.0) > SHARE:
-            partner = alone.pop(int(np.argmax(shares)))
-            joined[partner] = max(joined[partner], one, key=lambda found: found.statistic)
+            # A constant amplitude explains it, and follows less of the noise.
+            joined[alone.pop(int(np.argmax(shares)))] = one
         else:
             unmatched.append(path)
     # All others are explained by both, or were taken off before.
