@@ -56,7 +56,7 @@ CASES = {
     'directions': [Case(1)],
     'presence': [Case('partial'), Case('partial', {'exposure_s': 0.5})],
     'amplitudes': [Case('signed'), Case('complex', scene='complex')],
-    'amplitude_model': [Case('constant')],
+    'amplitude_model': [Case('constant'), Case('either', scene='steady')],
     'false_alarm_rate': [Case(0.4, {'threshold': None}, 'small')],
     'threshold': [Case(12.0)],
     'continuation': [Case((1.0,))],
@@ -110,6 +110,10 @@ def frames_of(scene):
         frames[3] *= 0.1
     elif scene == 'hot':
         frames[:, 14, 14] += 50
+    elif scene == 'steady':
+        frames /= 3
+        for t, frame in enumerate(frames):
+            add_target(frame, 8 + 0.5 * t, 14.0, 1.0, 10.0)
     elif scene == 'small':
         frames = frames[:4, :16, :16]
     elif scene == 'complex':

@@ -116,6 +116,8 @@ _NO_STREAKS = Limit('exposure_s', 'it takes an exposure for a moment; convex and
 _NOT_STOPPED = Limit('max_time_s', 'its compiled search of a batch ends by itself, after as many '
                      'targets as a batch may hold')
 _WHOLE_BATCH = Limit('presence', 'it follows a target through the whole batch')
+_ONE_MODEL = Limit('amplitude_model', 'it cancels targets with one model of their amplitudes',
+                   ('constant',))
 _ANY_MOTION = 'it bounds the speed and nothing else'
 _BOUNDED_SPEED = (
     Limit('motion_model', _ANY_MOTION, ('static',)), Limit('max_acceleration_px_s2', _ANY_MOTION))
@@ -143,11 +145,11 @@ CAPABILITIES = (
          _NO_SCHEDULE, _ONE_DIRECTION_SET)),
     Capability(
         ('mt_dp',), 'dynamic programming with target cancellation: Guo et al. 2018',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _NO_SCHEDULE, _NOT_STOPPED,
+        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE, _NOT_STOPPED,
          _ONE_DIRECTION_SET)),
     Capability(
         ('pc_dp',), 'the same for each sector of directions at the same time',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _NO_SCHEDULE, _NOT_STOPPED)),
+        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE, _NOT_STOPPED)),
     Capability(
         ('velocity_filter',), 'shift-and-stack along straight lines',
         (_NO_STREAKS,
@@ -193,6 +195,8 @@ COMBINATIONS = (
                                           and options.amplitude_model == 'constant'))),
     *(Limit(name, 'the strongest other paths of the batch are the threshold', when=_CLUTTER)
       for name in ('presence', 'amplitude_model', 'threshold', 'motion_model', 'exposure_s')),
+    Limit('amplitude_model', 'a modulus that is constant gains too little to be searched beside',
+          ('constant',), when=_COMPLEX),
     Limit('variance', 'both say how much noise a pixel has', when=_with('noise', 'map')),
     Limit('hop', 'it goes with the length that is given to batches', when=Condition(
         'without batch_length', lambda options: options.batch_length is None)),
@@ -201,7 +205,7 @@ COMBINATIONS = (
     Limit(_STREAKS, 'a target is smeared along its motion in the frame, not on the registered '
           'plane', when=_with('registration', 'translation', 'affine', 'homography')),
     Limit(_STREAKS, 'a streak has unit norm whatever its length, so what is constant of a target '
-          'is not its amplitude', when=_with('amplitude_model', 'constant')),
+          'is not its amplitude', when=_with('amplitude_model', 'constant', 'either')),
     Limit(_STREAKS, 'streaks are searched by shapes that are near to theirs, which a certificate '
           'over all paths cannot rest on',
           when=Condition('with a continuation that ends with 1',
@@ -225,7 +229,8 @@ WITHOUT_EFFECT = (
                Condition('with psf', lambda options: options.psf is not None))
       for name in ('psf_sigma_px', 'psf_model')),
     NoEffect('false_alarm_rate', 'the threshold is given',
-             Condition('with threshold', lambda options: options.threshold is not None)),
+             Condition('with threshold, but for amplitude_model=either', lambda options: (
+                 options.threshold is not None and options.amplitude_model != 'either'))),
     NoEffect('max_speed_px_s', 'targets stand still', _with('motion_model', 'static')),
     NoEffect('max_acceleration_px_s2', 'velocities do not change',
              _with('motion_model', 'constant_velocity', 'static')),

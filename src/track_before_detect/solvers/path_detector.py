@@ -34,7 +34,11 @@ from track_before_detect.solvers.path_statistic import PathStatistic
 from track_before_detect.solvers.refine.refinement import refiner_for
 from track_before_detect.solvers.refine.target_model import NO_WEIGHTS, TargetModel
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
-from track_before_detect.solvers.search.periodic_columns import columns_of, doppler_columns
+from track_before_detect.solvers.search.periodic_columns import (
+    columns_of,
+    doppler_columns,
+    PeriodicColumns,
+)
 from track_before_detect.solvers.watch import Watch
 from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress, Step
@@ -59,6 +63,8 @@ class Task(NamedTuple):
         Where targets of the batch before are, on the plane that is searched.
     watch : Watch
         Says when the time is up.
+    columns : PeriodicColumns
+        How that plane is made of the frames.
     """
 
     targets: TargetModel
@@ -66,6 +72,12 @@ class Task(NamedTuple):
     paths: WorkingSet
     earlier: EarlierPaths | None
     watch: Watch
+    columns: PeriodicColumns
+
+    def in_frame(self, result: BatchResult) -> BatchResult:
+        """Return a result with its targets in the frames, the strongest first."""
+        found = self.columns.in_frame(result.found)
+        return replace(result, found=sorted(found, key=lambda one: -one.statistic))
 
 
 class PathDetector(BatchDetector):
@@ -106,6 +118,26 @@ class PathDetector(BatchDetector):
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories."""
         self.check_kind(batch.frames)
+        if self.options.threshold is None and not self._has_searched:
+            # A calibration, which may take long, would be for nothing.
+            task = self.task(batch, None, weights, earlier, progress)
+            if self.passes_everywhere(task):
+                return self.result(task, [], 'not_noise', [])
+        measurement = self._measurement(batch.stamps, batch.frame_indices)
+        shape = measurement.plane_shape(batch.frames.shape[1:])
+        threshold = self._threshold(batch.stamps, measurement, shape, progress)
+        self._has_searched = True
+        task = self.task(batch, threshold, weights, earlier, progress)
+        if self.passes_everywhere(task):
+            return self.result(task, [], 'not_noise', [])
+        return task.in_frame(self.solve(task))
+
+    def task(self, batch: FrameBatch, threshold: float | None, weights: NDArray | None = None,
+             earlier: EarlierPaths | None = None, progress: Progress | None = None) -> Task:
+        """Return a batch ready to be searched with a threshold; see :meth:`detect`.
+
+        Without a threshold, with one that no calibration exceeds.
+        """
         stamps = batch.stamps
         measurement = self._measurement(stamps, batch.frame_indices)
         shape = measurement.plane_shape(batch.frames.shape[1:])
@@ -114,31 +146,17 @@ class PathDetector(BatchDetector):
         frames, weights = self._searched(columns.strip(batch.frames), weights if weights is None
                                          else columns.strip(np.asarray(weights)))
         search = self._path_search(graph, measurement, columns.plane(shape), weights)
+        if threshold is None:
+            threshold = threshold_bound(graph, search.grid_shape, self.options.false_alarm_rate)
         targets = TargetModel(graph, measurement, self._graphs.times(stamps, measurement),
                               NO_WEIGHTS if weights is None else weights, self.model,
                               self.presence)
+        paths = WorkingSet(frames, targets.pixel_weights, measurement,
+                           self.scale.penalty(threshold, len(frames)), self.model, columns.period)
+        return Task(targets, search, paths, columns.on_strip(earlier),
+                    Watch(self.options.max_time_s, progress), columns)
 
-        def task_at(threshold: float) -> Task:
-            paths = WorkingSet(
-                frames, targets.pixel_weights, measurement,
-                self.scale.penalty(threshold, len(frames)), self.model, columns.period)
-            return Task(targets, search, paths, columns.on_strip(earlier),
-                        Watch(self.options.max_time_s, progress))
-
-        if self.options.threshold is None and not self._has_searched:
-            # A calibration, which may take long, would be for nothing.
-            task = task_at(threshold_bound(graph, search.grid_shape,
-                                           self.options.false_alarm_rate))
-            if self._passes_everywhere(task):
-                return self.result(task, [], 'not_noise', [])
-        task = task_at(self._threshold(stamps, measurement, shape, progress))
-        self._has_searched = True
-        if self._passes_everywhere(task):
-            return self.result(task, [], 'not_noise', [])
-        result = self.solve(task)
-        return replace(result, found=columns.in_frame(result.found))
-
-    def _passes_everywhere(self, task: Task) -> bool:
+    def passes_everywhere(self, task: Task) -> bool:
         """Return whether most places pass the threshold, which no noise does."""
         cost = self.presence.whole_cost(len(task.paths.frames)) if self.presence else 0.0
         return passes_everywhere(task.search, refiner_for(task.targets), task.paths,
@@ -146,7 +164,7 @@ class PathDetector(BatchDetector):
 
     @abstractmethod
     def solve(self, task: Task) -> BatchResult:
-        """Find the paths of a batch."""
+        """Find the paths of a batch, in the order in which its working set holds them."""
 
     def trajectory(self, paths: WorkingSet, path: int, value: float) -> FoundTrajectory:
         """Return the target of a path of this value that is held."""
@@ -160,7 +178,7 @@ class PathDetector(BatchDetector):
 
     def result(self, task: Task, found: list[FoundTrajectory], status: str, history: list[Step],
                largest: float = 0.0, gap: float = float('nan')) -> BatchResult:
-        """Return what was found, best first, with the threshold of a statistic.
+        """Return what was found, with the threshold of a statistic.
 
         ``largest`` is the value of the last search: that of the best path that was left, or only
         a bound of it.
@@ -170,8 +188,7 @@ class PathDetector(BatchDetector):
         if largest > 0 and largest not in (model.value(penalty), model.grid_level(penalty)):
             best = self.scale.statistic(largest, n_frames)
         threshold = self.scale.statistic(model.value(penalty), n_frames)
-        return BatchResult(sorted(found, key=lambda one: -one.statistic), threshold,
-                           task.watch.status(status), history, gap, best)
+        return BatchResult(found, threshold, task.watch.status(status), history, gap, best)
 
     def largest_value(self, targets: TargetModel,
                       search: PathSearch) -> Callable[[NDArray], float]:

@@ -20,7 +20,9 @@ from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.clutter.detector import BELOW, ClutterDetector, SEPARATION
 from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.solvers.either import EitherDetector
 from track_before_detect.solvers.greedy import GreedyDetector
+from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
@@ -57,11 +59,14 @@ DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
 BACKGROUNDS = {'either': ('temporal_median', 'spatial_median')}
 
 
-def detector_for(options: DetectorOptions) -> BatchDetector:
-    """Return the detector that the options name."""
+def make_detector(options: DetectorOptions) -> BatchDetector:
+    """Return a new detector, as the options say."""
     if options.calibration == 'clutter':
         return ClutterDetector(options)
-    return DETECTOR_CLASSES[options.detector](options)
+    kind = DETECTOR_CLASSES[options.detector]
+    if options.amplitude_model == 'either' and issubclass(kind, PathDetector):
+        return EitherDetector(options, kind)
+    return kind(options)
 
 
 class TrackingPipeline:
@@ -84,7 +89,7 @@ class TrackingPipeline:
         self._options = options
         # The same search for each background, at its share of the rate.
         self._backgrounds = BACKGROUNDS.get(options.background, (options.background,))
-        self._detector = detector or detector_for(options.replace(
+        self._detector = detector or make_detector(options.replace(
             false_alarm_rate=options.false_alarm_rate / len(self._backgrounds)))
         self._stitcher: Stitcher = (
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
@@ -220,6 +225,9 @@ class TrackingPipeline:
 
     def _compile(self, progress: Progress | None) -> None:
         """Run every kernel once, on a target bright enough to pass through all stages."""
+        # Either compiles what constant does, and what fluctuating does.
+        kinds = {'either': ('fluctuating', 'constant')}.get(
+            self._options.amplitude_model, (self._options.amplitude_model,))
         options = self._options.replace(
             threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
             variance=None, mask=None, doppler_ambiguities=0,
@@ -231,12 +239,14 @@ class TrackingPipeline:
         if options.amplitudes == 'complex':
             frames = frames.astype(np.complex64)
         batch = FrameBatch.of(frames, np.arange(8.0))
-        detector = detector_for(options)
-        detector.detect(batch)
+        detectors = [make_detector(options.replace(amplitude_model=kind)) for kind in kinds]
+        for detector in detectors:
+            detector.detect(batch)
         if progress is not None:
             progress('compiling', 0.5)
         frames[:, 0, 0] = np.nan
-        detector.detect(batch)
+        for detector in detectors:
+            detector.detect(batch)
 
 
 def _middle_and_spread(frame: NDArray) -> tuple[float, float]:

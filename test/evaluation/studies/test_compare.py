@@ -82,10 +82,12 @@ def test_report_names_the_best_method_of_each_scene(tmp_path):
     assert values['two crossing, SNR 2: best method'].note == 'greedy'
     behind = values['two crossing, SNR 2: convex minus the best other']
     assert behind.value == -1.0 and behind.note == 'best other: greedy; convex is behind'
+    untold = values['two crossing, SNR 2: convex, untold minus the best']
+    assert -1 < untold.value < 0 and untold.note == 'goal: at least -3 %'
     ahead = values['arc, SNR 3: convex minus the best other']
     assert ahead.value > 0 and ahead.note.endswith('convex is best')
     assert values['noise of 6 x 50 x 50 with a trajectory: mt_dp'].value == 1.0
-    assert len(result.rows) == (8 * 3 * 12 + 2 * 24) * (len(DETECTORS) + 3)
+    assert len(result.rows) == (8 * 3 * 12 + 2 * 24) * (len(DETECTORS) + 4)
     # Ours is the one told that targets may enter, and is as good as any there but "convex".
     entering = values['enters, SNR 2: convex, partial minus the best other']
     assert entering.value == 0 and entering.note.endswith('convex, partial is best')

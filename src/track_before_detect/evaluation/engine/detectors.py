@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchDetector, BatchResult
-from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+from track_before_detect.tracking.pipeline import make_detector
 from track_before_detect.types import FrameBatch
 
 Options = Mapping[str, Any]
@@ -18,8 +18,7 @@ Options = Mapping[str, Any]
 
 def detector_of(options: Options) -> BatchDetector:
     """Return a new detector, or say what is wrong with its options."""
-    made = DetectorOptions.from_mapping(dict(options))
-    return DETECTOR_CLASSES[made.detector](made)
+    return make_detector(DetectorOptions.from_mapping(dict(options)))
 
 
 def search(options: Options, frames: NDArray) -> BatchResult:

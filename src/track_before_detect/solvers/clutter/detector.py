@@ -97,8 +97,8 @@ class ClutterDetector(PathDetector):
         return BatchResult(found, 1.0, task.watch.status(status), history,
                            best_statistic=best, rejected=rejected)
 
-    def _passes_everywhere(self, task: Task) -> bool:
-        # Whatever the frames hold, few paths stand out from the others.
+    def passes_everywhere(self, task: Task) -> bool:
+        """Return False: whatever the frames hold, few paths stand out from the others."""
         return False
 
     def _threshold(self, *_: object) -> float:

@@ -381,13 +381,15 @@ class WorkingSet:
         return self.matched[path] - np.einsum(
             'qt,qt->t', self._overlaps[self._pairs[path, others]], self.amplitudes[others])
 
-    def statistic(self, path: int, seen: NDArray | None = None) -> float:
+    def statistic(self, path: int, seen: NDArray | None = None,
+                  model: AmplitudeModel | None = None) -> float:
         """Return the statistic of a path for what is ``seen`` (T,) along it.
 
-        By default that is what it meets with the other paths taken off.
+        By default that is what it meets with the other paths taken off, and the model is that of
+        the set.
         """
-        return self.model.statistic(self.seen(path) if seen is None else seen,
-                                    self._envelopes[path])
+        return (model or self.model).statistic(self.seen(path) if seen is None else seen,
+                                               self._envelopes[path])
 
     def value(self, path: int) -> float:
         """Return the value of a path beside all others: its statistic less what it costs."""
