@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.options import DetectorOptions
+from track_before_detect.preprocess.amplitude_scale import recognised_scale
 from track_before_detect.preprocess.registration import register
 from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
@@ -27,7 +28,8 @@ UNCORRELATED = 5.0
 
 _SCENE: Mapping[str, Any] = {
     'background': 'either', 'noise': 'local', 'calibration': 'clutter', 'amplitudes': 'signed',
-    'psf_sigma_px': 1.5, 'batch_length': 10, 'hop': 5}
+    'psf_sigma_px': 1.5, 'batch_length': 16, 'hop': 8, 'bad_frames': 'find',
+    'bad_pixels': 'find'}
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     NONE: {},
     'eoir_static': _SCENE,
@@ -109,13 +111,18 @@ def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
         return {}, ['the frames are white noise of deviation 1: taken as they are']
     words = ['the frames show a scene: it is taken off by medians over time and over space, '
              'and what stands out from the clutter that is left is a target']
+    chosen = dict(_SCENE)
+    scale = recognised_scale(frames.astype(np.float32))
+    if scale != 'linear':
+        chosen['frame_scale'] = scale
+        words.append(f'the pixels are {scale} of complex noise: made nearly Gaussian')
     if len(frames) < 3:
-        return {**_SCENE, 'background': 'spatial_median'}, words
+        return {**chosen, 'background': 'spatial_median'}, words
     registration = register(frames.astype(np.float32))
     if registration.credible.mean() <= 0.5:
-        return _SCENE, [*words, 'nothing tells whether the camera moves: no registration']
+        return chosen, [*words, 'nothing tells whether the camera moves: no registration']
     reach = float(np.ptp(registration.offsets[registration.credible], axis=0).max())
-    return PRESETS['eoir_moving'], [
+    return {**PRESETS['eoir_moving'], **chosen}, [
         *words, f'the picture moves by {reach:.2g} px within {len(frames)} frames: '
         'registration=translation, search on the image']
 
