@@ -70,8 +70,10 @@ CASES = {
     'registration': [Case(name, {'threshold': 13.0}, 'panning')
                      for name in ('translation', 'affine', 'homography')],
     'background': [Case(name, {'threshold': 13.0}, 'panning') for name in (
-        'temporal_median', 'spatial_median', 'temporal_spatial_median')],
-    'noise': [Case('robust'), Case('map')],
+        'temporal_median', 'spatial_median', 'temporal_spatial_median', 'either')],
+    'search_plane': [Case('image', {'registration': 'translation', 'threshold': 13.0}, 'panning')],
+    'noise': [Case('robust'), Case('map'), Case('local')],
+    'calibration': [Case('clutter', {'threshold': None})],
     'variance': [Case(1.0 + np.arange(SHAPE[0] * SHAPE[1]).reshape(SHAPE) / 500)],
     'mask': [Case(np.arange(SHAPE[1]) == 15 + np.zeros((SHAPE[0], 1)))],
 }

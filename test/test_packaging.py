@@ -58,7 +58,7 @@ WITHIN = {
     'solvers': {
         'search': {'batch_detector'},
         'refine': set(),
-        'fit': set(),
+        'fit': {'watch'},
         'calibration': {'path_statistic', 'search'},
         'convex': TOOLS | {'batch_detector', 'path_detector', 'path_statistic', 'watch'},
         'clutter': TOOLS | {'batch_detector', 'path_detector'},

@@ -119,6 +119,7 @@ _WHOLE_BATCH = Limit('presence', 'it follows a target through the whole batch')
 _ONE_MODEL = Limit('amplitude_model', 'it cancels targets with one model of their amplitudes',
                    ('constant',))
 _ANY_MOTION = 'it bounds the speed and nothing else'
+_IN_NOISE = Limit('calibration', 'only convex compares a path with the others of its batch')
 _BOUNDED_SPEED = (
     Limit('motion_model', _ANY_MOTION, ('static',)), Limit('max_acceleration_px_s2', _ANY_MOTION))
 
@@ -129,7 +130,7 @@ CAPABILITIES = (
         (_ONE_DIRECTION_SET,)),
     Capability(
         ('greedy',), 'one trajectory after the other over the same paths, none fitted again',
-        (_NO_SCHEDULE, _ONE_DIRECTION_SET)),
+        (_NO_SCHEDULE, _IN_NOISE, _ONE_DIRECTION_SET)),
     Capability(
         ('cfo_dp', 'cso_dp', 'mff_dp', 'cfo_dpr', 'cso_dpr', 'mff_dpr'),
         'dynamic programming over whole pixels, of first (`cfo`) or second order (`cso`, `mff`), '
@@ -142,14 +143,15 @@ CAPABILITIES = (
                ('constant',), no_effect=('constant',)),
          Limit('noise', 'it does not weigh pixels by their noise', ('robust',)),
          Limit('variance', 'it does not weigh pixels by their noise'),
-         _NO_SCHEDULE, _ONE_DIRECTION_SET)),
+         _NO_SCHEDULE, _IN_NOISE, _ONE_DIRECTION_SET)),
     Capability(
         ('mt_dp',), 'dynamic programming with target cancellation: Guo et al. 2018',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE, _NOT_STOPPED,
-         _ONE_DIRECTION_SET)),
+        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE, _IN_NOISE,
+         _NOT_STOPPED, _ONE_DIRECTION_SET)),
     Capability(
         ('pc_dp',), 'the same for each sector of directions at the same time',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE, _NOT_STOPPED)),
+        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE, _IN_NOISE,
+         _NOT_STOPPED)),
     Capability(
         ('velocity_filter',), 'shift-and-stack along straight lines',
         (_NO_STREAKS,
@@ -160,7 +162,7 @@ CAPABILITIES = (
          Limit('amplitudes', 'it adds up what keeps its sign', ('signed',)),
          Limit('amplitude_model', 'it takes amplitudes for constant', ('constant',),
                no_effect=('constant',)),
-         _NO_SCHEDULE, _ONE_DIRECTION_SET)),
+         _NO_SCHEDULE, _IN_NOISE, _ONE_DIRECTION_SET)),
 )
 
 _NO_DOPPLER = Condition('without motion_model=range_doppler',
@@ -216,6 +218,9 @@ COMBINATIONS = (
 SEVERAL_SENSORS = (
     Limit('detector', 'only these take each frame through the map of its sensor', ('greedy',)),
     Limit('registration', 'their maps are given'),
+    Limit('background', 'a background is of one sensor',
+          ('temporal_median', 'spatial_median', 'temporal_spatial_median')),
+    Limit('calibration', 'clutter is that of one sensor'),
     Limit('motion_model', 'they look at a common plane', ('constant_velocity', 'static')),
     Limit('amplitude_model', 'what is constant in the units of one sensor is not in those of '
           'another'),
@@ -225,6 +230,7 @@ SEVERAL_SENSORS = (
 )
 
 WITHOUT_EFFECT = (
+    NoEffect('search_plane', 'there is no other plane', _with('registration', 'none')),
     *(NoEffect(name, 'the array takes the place of the Gaussian',
                Condition('with psf', lambda options: options.psf is not None))
       for name in ('psf_sigma_px', 'psf_model')),
