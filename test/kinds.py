@@ -147,16 +147,19 @@ def shaking(variant, target):
     scene = Scene(variant, target, n_frames=40)
     rng, (height, width) = scene.rng, scene.shape
     shape = height + 40, width + 40
-    ground = 60 * ndimage.gaussian_filter(rng.standard_normal(shape), 2) / 0.14
+    ground = 30 * ndimage.gaussian_filter(rng.standard_normal(shape), 2) / 0.14
     for _ in range(8):
         y, x = rng.integers(shape[0]), rng.integers(shape[1])
-        ground[y:y + rng.integers(4, 20), x:x + rng.integers(4, 20)] += rng.uniform(-150, 150)
+        ground[y:y + rng.integers(4, 20), x:x + rng.integers(4, 20)] += rng.uniform(-75, 75)
     ground = ndimage.gaussian_filter(ground, 0.8)
     jump = np.clip(np.cumsum(rng.normal(0, 0.7, (40, 2)), axis=0), -15, 15)
     y, x = np.mgrid[:height, :width]
     views = np.array([ndimage.map_coordinates(ground, [y + 20 + dy, x + 20 + dx], order=3)
                       for dx, dy in jump])
-    scene.way = scene.way - jump
+    # Slower over the ground, it would be part of the median of a batch.
+    step = (scene.way[1] - scene.way[0]) / np.hypot(*(scene.way[1] - scene.way[0]))
+    steps = np.arange(40)[:, None] - 19.5
+    scene.way = np.array([width, height]) / 2 + rng.uniform(0.6, 0.9) * step * steps - jump
     return {'frames': np.rint(600 + views + 3 * scene.signal()).astype(np.uint16),
             'fps': variant.fps, 'truth': scene.truth()}
 

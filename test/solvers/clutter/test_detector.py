@@ -59,17 +59,18 @@ def test_target_of_six_deviations_is_found_in_most_clutter():
 
 @pytest.mark.parametrize('n_targets', [1, 2, 3, 4])
 def test_each_of_several_targets_is_one_trajectory(n_targets):
-    frames = clutter('codec_blocks', 3, n_targets, shape=(10, 96, 96))
+    frames = clutter('k_distributed', 3, n_targets, shape=(10, 96, 96))
     places = [((20, 20), (1, 0.5)), ((75, 20), (-0.5, 1)), ((20, 75), (0.7, -0.7)),
               ((75, 75), (0, -1.2))]
     ways = [add_target(frames, 8.0, *place) for place in places[:n_targets]]
     found = searched(frames).found
     assert len(found) == n_targets
+    # Targets as strong as one another do not hide one another.
     assert all(sum(follows(one, way) for one in found) == 1 for way in ways)
 
 
 def test_dim_target_is_found_beside_a_bright_one():
-    frames = clutter('codec_blocks', 4, shape=(10, 96, 96))
+    frames = clutter('k_distributed', 4, shape=(10, 96, 96))
     ways = [add_target(frames, 300.0, (30, 30), (1, 0)), add_target(frames, 8.0, (60, 60), (0, -1))]
     bright, dim = searched(frames).found
     assert follows(bright, ways[0])
@@ -79,7 +80,7 @@ def test_dim_target_is_found_beside_a_bright_one():
 
 @pytest.mark.parametrize('snr', [15.0, 60.0, 300.0])
 def test_wide_target_is_one_trajectory(snr):
-    frames = clutter('codec_blocks', 5, shape=(10, 96, 96))
+    frames = clutter('k_distributed', 5, shape=(10, 96, 96))
     way = add_target(frames, snr, (35, 50), (1.1, -0.4), sigma=3.0)
     [found] = searched(frames).found
     assert follows(found, way)
