@@ -6,6 +6,8 @@ import math
 import numpy as np
 from scipy import ndimage
 
+from track_before_detect.preprocess.robust import robust_deviation
+
 
 def every_path(graph, grid_shape):
     """Yield (positions (T, 2) in grid steps, cost of the turns) of every path of a state graph."""
@@ -354,3 +356,18 @@ def velocity_numbers(grid):
     for i, (first, last) in enumerate(zip(grid.first_vx, grid.last_vx, strict=True)):
         for j in range(first, last):
             yield i, j
+
+
+def ring_level(frame, floor, width_px):
+    """Return the level around each pixel: of the frame, or of a square ring where that is more."""
+    near, far = (round(side * width_px) for side in (3, 7))
+    whole = robust_deviation(frame, floor)
+    level = np.full(frame.shape, whole)
+    for y, x in np.ndindex(frame.shape):
+        ring = [frame[j, i] ** 2
+                for j in range(max(y - far, 0), min(y + far + 1, frame.shape[0]))
+                for i in range(max(x - far, 0), min(x + far + 1, frame.shape[1]))
+                if max(abs(j - y), abs(i - x)) > near and np.isfinite(frame[j, i])]
+        if ring:
+            level[y, x] = max(whole, math.sqrt(sum(ring) / len(ring)))
+    return level

@@ -41,7 +41,8 @@ def test_clutter_passes_as_rarely_as_asked(rate):
 def test_bright_and_dark_targets_stand_out(kind, sign):
     frames = clutter(kind, 2, shape=(10, 96, 80))
     way = add_target(frames, sign * 8.0, (25.3, 40.0), (1.4, -0.6))
-    [found] = searched(frames).found
+    # Asked for rarely enough that no clutter comes with it in eight scenes.
+    [found] = searched(frames, false_alarm_rate=0.005).found
     assert follows(found, way)
     assert found.statistic > 1
     assert found.reason == ''
