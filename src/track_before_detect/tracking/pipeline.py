@@ -135,8 +135,8 @@ class TrackingPipeline:
             [trajectory for trajectory in rejected if trajectory.reason == BELOW])
         return replace(results[0], trajectories=list(self._before), rejected=rejected)
 
-    def carried_on(self, known: Trajectory, weaker: list[Trajectory]) -> list[Trajectory]:
-        """Return the rejected candidate that carries on a trajectory; see :class:`Stitcher`."""
+    def carried_on(self, known: list[Trajectory], weaker: list[Trajectory]) -> list[Trajectory]:
+        """Return the rejected candidates that carry on trajectories; see :class:`Stitcher`."""
         return self._stitcher.carried_on(
             known, [trajectory for trajectory in weaker if trajectory.reason == BELOW])
 

@@ -162,8 +162,8 @@ def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult],
     later: list[Trajectory] = []
     for result in reversed(searched):
         seen = {trajectory.id for trajectory in result.trajectories}
-        before = [carried for known in later if known.id not in seen
-                  for carried in pipeline.carried_on(known, result.rejected)]
+        before = pipeline.carried_on(
+            [known for known in later if known.id not in seen], result.rejected)
         joined.add(before)
         later = [*result.trajectories, *before]
 

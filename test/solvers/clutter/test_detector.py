@@ -41,9 +41,10 @@ def test_clutter_passes_as_rarely_as_asked(rate):
 def test_bright_and_dark_targets_stand_out(kind, sign):
     frames = clutter(kind, 2, shape=(10, 96, 80))
     way = add_target(frames, sign * 8.0, (25.3, 40.0), (1.4, -0.6))
-    # Asked for rarely enough that no clutter comes with it in eight scenes.
-    [found] = searched(frames, false_alarm_rate=0.005).found
+    # Clutter may come with it, as rarely as asked, but it stands out most.
+    found, *others = searched(frames).found
     assert follows(found, way)
+    assert not any(follows(other, way) for other in others)
     assert found.statistic > 1
     assert found.reason == ''
     assert np.all(sign * np.median(found.amplitudes) > 0)
