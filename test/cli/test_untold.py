@@ -34,7 +34,7 @@ def quiet_logging(monkeypatch):
 def found_in(folder, recording):
     """Return the rows frame, x, y of each trajectory that the plain command finds."""
     np.savez(folder / 'a.npz', **recording)
-    main.main(['detect', str(folder / 'a.npz'), '--no-overlay', '--output', str(folder / 'out')])
+    main(['detect', str(folder / 'a.npz'), '--no-overlay', '--output', str(folder / 'out')])
     trajectories = {}
     with open(folder / 'out' / 'trajectories.csv', newline='') as file:
         for row in csv.DictReader(file):
@@ -51,7 +51,7 @@ def with_reasons():
             yield pytest.param(kind, variant, marks=marks, id=f'{kind}-{variant.seed}')
 
 
-@pytest.mark.parametrize(('kind', 'variant'), with_reasons())
+@pytest.mark.parametrize(('kind', 'variant'), list(with_reasons()))
 def test_the_target_is_the_one_trajectory(tmp_path, kind, variant):
     recording = KINDS[kind](variant, True)
     [rows] = found_in(tmp_path, recording)
@@ -62,6 +62,6 @@ def test_the_target_is_the_one_trajectory(tmp_path, kind, variant):
 
 
 @pytest.mark.parametrize('variant', VARIANTS, ids=lambda variant: variant.seed)
-@pytest.mark.parametrize('kind', KINDS)
+@pytest.mark.parametrize('kind', list(KINDS))
 def test_nothing_is_found_without_a_target(tmp_path, kind, variant):
     assert found_in(tmp_path, KINDS[kind](variant, False)) == []

@@ -120,5 +120,18 @@ def test_statistics_are_in_units_of_the_threshold():
     assert max(below) <= 1
 
 
+def test_target_is_found_on_a_line_of_pixels():
+    frames = clutter('noise', 9, shape=(10, 1, 200))
+    way = add_target(frames, 12.0, (60, 0), (1.2, 0))
+    [found] = searched(frames).found
+    assert follows(found, way)
+
+
+def test_target_beside_which_nothing_is_left_is_no_error():
+    frames = clutter('noise', 10, shape=(10, 32, 32))
+    frames[:, 6:26, 6:26] += 40
+    assert searched(frames).status == 'converged'
+
+
 def test_frames_of_one_value_hold_nothing():
     assert searched(np.zeros((6, 32, 40), np.float32)).found == []

@@ -75,11 +75,14 @@ class ClutterDetector(PathDetector):
         while paths and len(found) + len(rejected) < MOST_TRAJECTORIES:
             tried, paths, tails = self._stood_apart(task, refiner, frames, paths)
             tail = tails[-1]
-            if self.scale.statistic(tried[-1].value, len(frames)) <= tail.threshold(rate):
+            level = tail.threshold(rate)
+            if not paths:
+                # Nothing is left of the frames that they could be compared with.
+                break
+            if self.scale.statistic(tried[-1].value, len(frames)) <= level:
                 tail, paths = tails[0], [*tried, *paths]
                 level, status = tail.threshold(rate), 'converged'
                 break
-            level = tail.threshold(rate)
             for path in tried:
                 trajectory = self._trajectory(task, path, level)
                 reason = self._reason(task, trajectory)
@@ -171,8 +174,11 @@ class ClutterDetector(PathDetector):
     def _reason(self, task: Task, trajectory: FoundTrajectory) -> str:
         """Return why a trajectory above the threshold is no target, or nothing."""
         height, width = task.paths.frames.shape[1:]
-        inside = np.minimum(trajectory.positions, [width - 1, height - 1] - trajectory.positions)
-        if np.median(inside.min(axis=1)) < BORDER * self.measurement.width_px:
+        last = np.array([width - 1, height - 1])
+        # All of a 1-D sensor is near a border.
+        margin = np.minimum(BORDER * self.measurement.width_px, last / 8)
+        inside = np.minimum(trajectory.positions, last - trajectory.positions) - margin
+        if np.median(inside.min(axis=1)) < 0:
             return 'on the border of the frames'
         power = np.nan_to_num(np.abs(trajectory.amplitudes)) ** 2
         usual = 1 - STRONG_FRAMES / len(power)
