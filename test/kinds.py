@@ -70,7 +70,7 @@ def _camera(variant, target, **more):
 
 
 def black_clipped(variant, target):
-    """The black level of an 8-bit camera cuts off half of the noise."""
+    """Return a recording of a camera whose black level cuts off half of the noise."""
     scene = Scene(variant, target)
     frames = counts(scene.signal(), 1 + variant.seed % 2, 3 + variant.seed % 3, np.uint8)
     return {'frames': frames, 'fps': variant.fps, 'truth': scene.truth()}
@@ -88,7 +88,7 @@ def photons(variant, target):
 
 
 def frozen(variant, target):
-    """A shutter correction repeats one frame."""
+    """Return a recording in which a shutter correction repeats one frame."""
     scene, frames, truth = _camera(variant, target)
     first = int(scene.rng.integers(15, 35))
     last = first + int(scene.rng.integers(6, 14))
@@ -98,7 +98,7 @@ def frozen(variant, target):
 
 
 def repeated(variant, target):
-    """A video of a higher frame rate than the camera that made it."""
+    """Return a video of a higher frame rate than the camera that made it."""
     taken, shown = [(24, 30), (15, 20), (50, 60)][variant.seed % 3]
     scene, frames, truth = _camera(variant, target, n_frames=50)
     source = np.arange(50 * shown // taken) * taken // shown
@@ -109,7 +109,7 @@ def repeated(variant, target):
 
 
 def telemetry(variant, target):
-    """The first row holds counters and clocks."""
+    """Return a recording whose first row holds counters and clocks."""
     scene, frames, truth = _camera(variant, target)
     k = np.arange(len(frames))
     words = np.zeros((len(frames), scene.shape[1]), np.uint16)
@@ -131,7 +131,7 @@ def _radar(as_stored):
 
 
 def stop_and_go(variant, target):
-    """The target stands still for a while."""
+    """Return a recording of a target that stands still for a while."""
     scene = Scene(variant, target, n_frames=45)
     stand = int(scene.rng.integers(8, 13))
     steps = np.diff(scene.way, axis=0, prepend=scene.way[:1])
@@ -143,7 +143,7 @@ def stop_and_go(variant, target):
 
 
 def shaking(variant, target):
-    """A camera on a mast over ground with edges and bright points."""
+    """Return what a camera on a shaking mast sees of ground with edges."""
     scene = Scene(variant, target, n_frames=40)
     rng, (height, width) = scene.rng, scene.shape
     shape = height + 40, width + 40
@@ -165,7 +165,7 @@ def shaking(variant, target):
 
 
 def first_stamp_zero(variant, target):
-    """The driver fills in the first stamp too late."""
+    """Return a recording whose driver fills in the first stamp too late."""
     _, frames, truth = _camera(variant, target)
     stamps = 1.69e9 + np.arange(len(frames)) / variant.fps
     stamps[0] = 0

@@ -3,10 +3,10 @@
 import csv
 import logging
 
-from kinds import KINDS, Variant
 import numpy as np
 import pytest
 
+from kinds import KINDS, Variant
 from track_before_detect.cli import main
 
 VARIANTS = (

@@ -1,9 +1,9 @@
 """The noise level follows the noise from frame to frame and over the image."""
 
-from naive import ring_level
 import numpy as np
 import pytest
 
+from naive import ring_level
 from track_before_detect.preprocess.noise_level import frame_level, local_level, pixel_level
 
 

@@ -49,7 +49,8 @@ def test_simulated_noise_is_searched_as_before(shape, n_targets):
 
 
 @pytest.mark.parametrize('frames', [
-    10 + unit_noise(1), 2 * unit_noise(1), ndimage.gaussian_filter(unit_noise(1), (0, 1, 1)) / 0.28,
+    10 + unit_noise(1), 2 * unit_noise(1),
+    ndimage.gaussian_filter(unit_noise(1), (0, 1, 1)) / 0.28,
     unit_noise(1)[:1].repeat(20, axis=0), np.abs(unit_noise(1))])
 def test_other_noise_is_not_taken_for_the_simulated_one(frames):
     options, reasons = choose_options(AUTO, {}, frames)

@@ -42,10 +42,6 @@ EXPECTED = 3.0
 PART_OF_TARGET = 3.0
 # Widths of the PSF by which what belongs to a target is grown: its slopes add up over the frames.
 SLOPE = 2.0
-# Targets that may be about as strong; more hide one another, as do those that are no stronger than
-# so many times where the tail begins: hardly anything touches them on its way.
-ALIKE = 5
-HIDING = 1.5
 # Distance from the border, in widths of the PSF, within which the scene comes in and goes.
 BORDER = 3.0
 # Frames that a path may owe its statistic to more than in equal shares.
@@ -73,20 +69,24 @@ class ClutterDetector(PathDetector):
         status = 'iteration_limit'
         paths = self._strongest(task, frames)
         while paths and len(found) + len(rejected) < MOST_TRAJECTORIES:
-            tried, paths, tails = self._stood_apart(task, refiner, frames, paths)
-            tail = tails[-1]
+            path = max((_refined(refiner, frames, path) for path in paths[:N_REFINED]),
+                       key=lambda path: path.value)
+            self._set_aside(frames, path.positions)
+            others = self._strongest(task, frames)
+            if not others:
+                # Nothing is left of the frames that it could be compared with.
+                paths = []
+                break
+            tail = self._tail(others, frames.shape[1:])
             level = tail.threshold(rate)
-            if not paths:
-                # Nothing is left of the frames that they could be compared with.
+            trajectory = self._trajectory(task, path, level)
+            if trajectory.statistic <= 1:
+                paths.insert(0, path)
+                status = 'converged'
                 break
-            if self.scale.statistic(tried[-1].value, len(frames)) <= level:
-                tail, paths = tails[0], [*tried, *paths]
-                level, status = tail.threshold(rate), 'converged'
-                break
-            for path in tried:
-                trajectory = self._trajectory(task, path, level)
-                reason = self._reason(task, trajectory)
-                (rejected if reason else found).append(replace(trajectory, reason=reason))
+            reason = self._reason(task, trajectory)
+            (rejected if reason else found).append(replace(trajectory, reason=reason))
+            paths = others
         if not paths:
             return BatchResult(found, 1.0, 'converged', [], float('nan'), rejected)
         share = math.pi * (EXPECTED * self.measurement.width_px) ** 2 / np.prod(frames.shape[1:])
@@ -97,38 +97,6 @@ class ClutterDetector(PathDetector):
         history = [Step(0.0, float('nan'), len(found),
                         self.scale.statistic(strongest, len(frames)) / level - 1)]
         return BatchResult(found, 1.0, status, history, float('nan'), rejected)
-
-    def _stood_apart(self, task: Task, refiner: PathRefiner, frames: NDArray,
-                     paths: list[FoundPath],
-                     ) -> tuple[list[FoundPath], list[FoundPath], list[PathTail]]:
-        """Set aside the strongest paths until one passes the tail of those behind it.
-
-        Targets about as strong as one another, and the paths that touch one of them on their way,
-        would otherwise hide one another.
-
-        Returns
-        -------
-        tried : list of FoundPath
-            The paths set aside, the strongest first; where the last does not pass, none does.
-        others : list of FoundPath
-            The strongest behind them.
-        tails : list of PathTail
-            Of the paths behind each.
-        """
-        tried: list[FoundPath] = []
-        tails: list[PathTail] = []
-        while True:
-            path = max((_refined(refiner, frames, path) for path in paths[:N_REFINED]),
-                       key=lambda path: path.value)
-            self._set_aside(frames, path.positions)
-            paths = self._strongest(task, frames)
-            tried.append(path)
-            tails.append(self._tail(paths, frames.shape[1:]))
-            statistic = self.scale.statistic(path.value, len(frames))
-            passes = statistic > tails[-1].threshold(self.options.false_alarm_rate)
-            hides = statistic > HIDING * tails[-1].start
-            if passes or not (hides and paths and len(tried) < ALIKE):
-                return tried, paths, tails
 
     def _threshold(self, *_: object) -> float:
         return 1.0
