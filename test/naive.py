@@ -6,6 +6,7 @@ import math
 import numpy as np
 from scipy import ndimage
 
+from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.simulation.sensor import add_target
 
 
@@ -363,3 +364,18 @@ def gaussian_stamp_image(shape, x, y, sigma):
     image = np.zeros(shape)
     add_target(image, x, y, sigma, 1.0)
     return image
+
+
+def ring_level(frame, floor, width_px):
+    """Return the level around each pixel: of the frame, or of a square ring where that is more."""
+    near, far = (round(side * width_px) for side in (3, 7))
+    whole = robust_deviation(frame[::2, ::2], floor)
+    level = np.full(frame.shape, whole)
+    for y, x in np.ndindex(frame.shape):
+        ring = [frame[j, i] ** 2
+                for j in range(max(y - far, 0), min(y + far + 1, frame.shape[0]))
+                for i in range(max(x - far, 0), min(x + far + 1, frame.shape[1]))
+                if max(abs(j - y), abs(i - x)) > near and np.isfinite(frame[j, i])]
+        if ring:
+            level[y, x] = max(whole, math.sqrt(sum(ring) / len(ring)))
+    return level

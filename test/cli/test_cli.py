@@ -16,7 +16,7 @@ import pytest
 
 from track_before_detect.cli import detect, main
 from track_before_detect.cli.console import Progress
-from track_before_detect.options import describe
+from track_before_detect.options import describe, DetectorOptions
 from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.simulation.scenarios import SCENARIOS
 from track_before_detect.simulation.sensor import add_target
@@ -111,7 +111,8 @@ def test_detect_finds_the_target_of_a_simulated_recording(tmp_path, capsys):
 def test_detect_says_and_writes_which_frame_is_left_out(tmp_path, caplog):
     frames = np.random.default_rng(0).standard_normal((6, 16, 20))
     np.savez(tmp_path / 'a.npz', frames=frames, stamps=[0, 1, 2, 0, 4, 5])
-    run('detect', tmp_path / 'a.npz', '--output', tmp_path / 'out', '--set', 'threshold=9')
+    run('detect', tmp_path / 'a.npz', '--output', tmp_path / 'out', '--set', 'threshold=9',
+        '--preset', 'none')
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     [remark] = summary['remarks']
     assert 'frame 3 is left out' in remark and remark in caplog.text
@@ -120,7 +121,7 @@ def test_detect_says_and_writes_which_frame_is_left_out(tmp_path, caplog):
 
 def test_detect_writes_all_files_and_prints_a_table(recording_file, stand_in, tmp_path, capsys):
     output = tmp_path / 'deep' / 'out'
-    assert run('detect', recording_file, '--output', output) == 0
+    assert run('detect', recording_file, '--preset', 'none', '--output', output) == 0
     assert sorted(os.listdir(output)) == ['overlay.png', 'summary.json', 'trajectories.csv']
     out = capsys.readouterr().out.splitlines()
     assert out[0].split()[:2] == ['id', 'frames']
@@ -438,7 +439,7 @@ def test_missing_extra_is_named_before_the_work(recording_file, stand_in, monkey
 
 def test_progress_is_one_line_per_task_without_a_terminal(
         recording_file, stand_in, tmp_path, capsys):
-    run('detect', recording_file, '--output', tmp_path / 'out')
+    run('detect', recording_file, '--preset', 'none', '--output', tmp_path / 'out')
     assert capsys.readouterr().err.splitlines() == ['tbd: calibrating', 'tbd: searching']
 
 
@@ -539,3 +540,47 @@ def test_reader_that_stops_listening_is_no_error():
     process.stderr.close()
     assert process.wait(timeout=60) == 0
     assert error == b''
+
+
+def scene_recording(path):
+    """Write counts of a still scene that is brighter to one side, with noise."""
+    noise = np.random.default_rng(5).standard_normal((12, 40, 44))
+    np.savez(path, frames=(900 + 10 * noise + np.arange(44)).astype(np.uint16), fps=25)
+    return path
+
+
+def test_detect_says_and_writes_what_it_chose_by_itself(tmp_path, stand_in, capsys):
+    output = tmp_path / 'out'
+    run('detect', scene_recording(tmp_path / 'a.npz'), '--output', output, '--no-overlay')
+    assert stand_in.options.calibration == 'clutter'
+    summary = json.loads((output / 'summary.json').read_text())
+    said = [line.removeprefix('preset auto: ')
+            for line in capsys.readouterr().err.splitlines() if line.startswith('preset auto: ')]
+    assert said
+    assert summary['remarks'] == said
+    assert summary['options']['calibration'] == 'clutter'
+
+
+def test_detect_without_a_preset_searches_the_frames_as_they_are(tmp_path, stand_in, capsys):
+    output = tmp_path / 'out'
+    run('detect', scene_recording(tmp_path / 'a.npz'), '--preset', 'none', '--output', output,
+        '--no-overlay')
+    assert stand_in.options == DetectorOptions()
+    assert json.loads((output / 'summary.json').read_text())['remarks'] == []
+    assert 'preset' not in capsys.readouterr().err
+
+
+def test_what_is_set_wins_over_a_preset(tmp_path, stand_in):
+    config = tmp_path / 'a.yaml'
+    config.write_text('hop: 3\n')
+    run('detect', scene_recording(tmp_path / 'a.npz'), '--preset', 'eoir_moving',
+        '--set', 'noise=robust', '--config', config, '--output', tmp_path / 'out', '--no-overlay')
+    assert stand_in.options.search_plane == 'image'
+    assert stand_in.options.noise == 'robust'
+    assert stand_in.options.hop == 3
+
+
+def test_detect_refuses_an_unknown_preset_and_names_the_nearest(recording_file, tmp_path, capsys):
+    assert run('detect', recording_file, '--preset', 'eoir_statik',
+               '--output', tmp_path / 'out') == 2
+    assert_one_sentence(capsys, 'eoir_statik', 'eoir_static')

@@ -232,3 +232,39 @@ def test_the_real_drone_is_the_brightest_thing_after_preparation():
         row, column = np.unravel_index(np.nanargmax(prepared.frames[t]), frames[t].shape)
         seen = geometry.apply(prepared.maps[t], np.array([column, row]))
         assert np.hypot(*(seen - truth[t])) < 3.0
+
+
+def panned_scene(n_frames=8, step=2.0):
+    """Return a still texture seen by a camera that moves by ``step`` px a frame along x."""
+    rng = np.random.default_rng(12)
+    ground = 40 * ndimage.gaussian_filter(rng.normal(size=(60, 120)), 1.5)
+    frames = np.array([ground[:, int(step * k):int(step * k) + 70] for k in range(n_frames)])
+    return frames + rng.normal(size=frames.shape)
+
+
+def test_search_on_the_image_leaves_targets_at_the_pixels_of_their_frames():
+    frames = panned_scene()
+    # It stays on a pixel of the image, as seen by a camera that follows it.
+    frames[:, 30, 40] += 60
+    options = {'registration': 'translation', 'background': 'temporal_median', 'noise': 'robust'}
+    image = prepared_from(frames, search_plane='image', **options)
+    assert image.maps.shape == (8, 3, 3)
+    np.testing.assert_array_equal(image.maps, np.tile(np.eye(3), (8, 1, 1)))
+    for frame in image.frames:
+        assert np.unravel_index(np.nanargmax(frame), frame.shape) == (30, 40)
+    # The ground is gone: taken off through the registration.
+    assert np.nanstd(image.frames[:, 5:25, 20:50]) < 1.3
+    scene = prepared_from(frames, search_plane='scene', **options)
+    columns = [np.nanargmax(frame[30]) for frame in scene.frames]
+    assert np.ptp(columns) == pytest.approx(14, abs=1)
+
+
+def test_search_on_the_image_needs_no_registration_for_a_spatial_background(caplog):
+    rng = np.random.default_rng(13)
+    frames = rng.normal(size=(5, 40, 40)) + np.linspace(0, 500, 40)
+    # Noise has no shift that registration could find, and would say so.
+    prepared = prepared_from(frames, search_plane='image', registration='translation',
+                             background='spatial_median', noise='local')
+    assert not caplog.records
+    np.testing.assert_array_equal(prepared.maps, np.tile(np.eye(3), (5, 1, 1)))
+    assert np.nanstd(prepared.frames) == pytest.approx(1, abs=0.1)

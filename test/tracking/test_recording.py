@@ -220,3 +220,48 @@ def test_the_best_statistic_below_the_threshold_is_told():
     # A path of the grid gains a little between the pixels.
     low = tbd.detect(frames, threshold=high.best_statistic - 1e-3)
     assert low.trajectories[0].statistic == pytest.approx(high.best_statistic, rel=0.05)
+
+
+CLUTTER = {'calibration': 'clutter', 'amplitudes': 'signed', 'psf_sigma_px': 1.5,
+           'batch_length': 10, 'hop': 5}
+
+
+def fading_target(snr, seed=31):
+    """Return noise with a target whose SNR is that of each frame, and its way."""
+    snr = np.asarray(snr, float)
+    frames = np.random.default_rng(seed).standard_normal((len(snr), 64, 72)).astype(np.float32)
+    y, x = np.mgrid[:64, :72]
+    way = np.array([14.0, 30.0]) + np.arange(len(snr))[:, None] * [0.8, 0.1]
+    for frame, height, (cx, cy) in zip(frames, snr, way, strict=True):
+        spot = np.exp(-((x - cx)**2 + (y - cy)**2) / 4.5)
+        frame += height * spot / np.linalg.norm(spot)
+    return frames, way
+
+
+@pytest.mark.parametrize('snr', [
+    [6] * 20 + [2.0] * 10 + [6] * 15,
+    [6] * 20 + [2.0] * 10,
+    [2.0] * 10 + [6] * 20])
+def test_target_is_followed_through_batches_in_which_it_is_too_dim_to_be_found(snr):
+    frames, way = fading_target(snr)
+    dim = np.flatnonzero(np.array(snr) < 3)
+    assert tbd.detect(frames[dim], **CLUTTER).trajectories == []
+    [trajectory] = tbd.detect(frames, **CLUTTER).trajectories
+    distance = np.hypot(*(trajectory.positions - way).T)
+    assert np.isfinite(distance).all()
+    assert np.median(distance[dim]) < 2
+
+
+def test_trajectory_ends_where_no_candidate_is_near():
+    frames, way = fading_target([6] * 20 + [0] * 30)
+    [trajectory] = tbd.detect(frames, **CLUTTER).trajectories
+    assert np.isnan(trajectory.positions[30:]).all()
+
+
+def test_candidates_are_listed_with_their_reasons():
+    frames, _ = fading_target([6] * 20)
+    frames[12, 50, 50] += 60
+    result = tbd.detect(frames, **CLUTTER)
+    assert {one.reason for one in result.trajectories} == {''}
+    assert all(one.reason and one.id == 0 for one in result.rejected)
+    assert 'in one frame only' in {one.reason for one in result.rejected}

@@ -110,7 +110,10 @@ def add_parser(commands: Any) -> None:
 def run(arguments: Namespace) -> int:
     """Search the recordings, print what was found and write the files; return the exit code."""
     told = _told_options(arguments)
-    check_options(DetectorOptions.from_mapping(told))
+    options = DetectorOptions.from_mapping(told)
+    if arguments.preset == 'none':
+        # Those of another preset may be what goes with what was told.
+        check_options(options)
     if arguments.fps is not None:
         checked_number('--fps', arguments.fps, above=0)
     check_output_folder(Path(arguments.output))

@@ -155,8 +155,8 @@ class TrackingPipeline:
                            [result.best_statistic for result in results])),
                        remarks=[remark for result in results for remark in result.remarks])
 
-    def carried_on(self, known: Trajectory, weaker: list[Trajectory]) -> list[Trajectory]:
-        """Return the rejected candidate that carries on a trajectory; see :class:`Stitcher`."""
+    def carried_on(self, known: list[Trajectory], weaker: list[Trajectory]) -> list[Trajectory]:
+        """Return the rejected candidates that carry on trajectories; see :class:`Stitcher`."""
         return self._stitcher.carried_on(
             known, [trajectory for trajectory in weaker if trajectory.reason == BELOW])
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.options import DetectorOptions
@@ -21,10 +22,12 @@ from track_before_detect.preprocess.whiteness import coloured_noise_factor
 AUTO, NONE = 'auto', 'none'
 # Frames that are looked at.
 FRAMES_SEEN = 20
-# Difference of level and deviation to those of simulated noise, and deviations of the correlation
-# of successive frames, within which frames are taken for it.
+# Difference of level, deviation and correlation of successive frames to those of simulated noise
+# within which frames are taken for it, the last where so many deviations are more.
 NEAR_UNIT = 0.05
 UNCORRELATED = 5.0
+# Deviations beyond which a pixel belongs to a target.
+STRONG = 4.0
 
 _SCENE: Mapping[str, Any] = {
     'background': 'either', 'noise': 'local', 'calibration': 'clutter', 'amplitudes': 'signed',
@@ -131,12 +134,17 @@ def _is_unit_noise(frames: NDArray) -> bool:
     """Return whether frames (T, H, W) can be searched as they are, as simulated ones can."""
     if not np.isfinite(frames).any():
         return True
-    frames = np.where(np.isfinite(frames), frames, 0).astype(np.float32)
-    level, deviation = float(np.median(frames)), robust_deviation(frames)
+    frames = np.where(np.isfinite(frames), frames, np.nan).astype(np.float32)
+    # Without bright targets and their slopes, which are no noise but may be there.
+    frames[ndimage.maximum_filter(np.abs(frames) > STRONG, (1, 7, 7))] = np.nan
+    if not np.isfinite(frames).any():
+        return False
+    level, deviation = float(np.nanmedian(frames)), robust_deviation(frames)
     if max(abs(level), abs(deviation - 1)) > NEAR_UNIT:
         return False
     if coloured_noise_factor(frames, 1.0) > 1:
         return False
-    clipped = np.clip(frames, -3, 3)
-    same = float(np.mean(clipped[1:] * clipped[:-1]))
-    return same * np.sqrt(clipped[1:].size) < UNCORRELATED
+    # By signs, of which targets change few.
+    same = np.sign(frames[1:]) * np.sign(frames[:-1])
+    same = same[np.isfinite(same)]
+    return float(np.sum(same)) <= max(NEAR_UNIT * same.size, UNCORRELATED * np.sqrt(same.size))

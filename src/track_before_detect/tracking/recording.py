@@ -181,9 +181,8 @@ def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult]) -> 
     later = searched[-1].trajectories
     for result in reversed(searched[:-1]):
         seen = {trajectory.id for trajectory in result.trajectories}
-        result.trajectories.extend(
-            carried for known in later if known.id not in seen
-            for carried in pipeline.carried_on(known, result.rejected))
+        result.trajectories.extend(pipeline.carried_on(
+            [known for known in later if known.id not in seen], result.rejected))
         later = result.trajectories
 
 

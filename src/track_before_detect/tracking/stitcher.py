@@ -70,7 +70,6 @@ class Stitcher:
                     known.trajectory, trajectory, period_px)
         cost = np.minimum(excess, 2.0)
         ids: dict[int, int] = {}
-        carried: list[Trajectory] = []
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
             if excess[i, j] <= 1.0:
                 ids[int(j)] = self._known[i].trajectory.id
@@ -80,33 +79,38 @@ class Stitcher:
                 ids[j] = self._next_id
                 self._next_id += 1
             named.append(replace(trajectory, id=ids[j]))
-        for known in self._known:
-            if known.trajectory.id not in ids.values() and weaker and not known.batches_ago:
-                carried += self.carried_on(known.trajectory, weaker, period_px)
-        named += carried
+        named += self.carried_on(
+            [known.trajectory for known in self._known
+             if known.trajectory.id not in ids.values() and not known.batches_ago],
+            weaker, period_px)
         seen = {trajectory.id for trajectory in named}
         self._known = [_Known(trajectory) for trajectory in named] + [
             _Known(known.trajectory, known.batches_ago + 1) for known in self._known
             if known.trajectory.id not in seen and known.batches_ago + 1 < self._memory]
         return named
 
-    def carried_on(self, known: Trajectory, weaker: Sequence[Trajectory],
+    def carried_on(self, known: Sequence[Trajectory], weaker: Sequence[Trajectory],
                    period_px: float | None = None) -> list[Trajectory]:
-        """Return the candidate that carries on a trajectory, with its id; none where none does.
+        """Return the candidates that carry on trajectories, with their ids, each at most once.
 
         Parameters
         ----------
-        known : Trajectory
+        known : sequence of Trajectory
             In a batch that shares frames with that of the candidates.
         weaker : sequence of Trajectory
             Candidates.
         period_px : float, optional
             As of :meth:`link`.
         """
-        near = [candidate for candidate in weaker
-                if self._distance_over_gate(known, candidate, period_px) <= 1.0]
-        return [replace(best, id=known.id, reason='')
-                for best in sorted(near, key=lambda candidate: -candidate.statistic)[:1]]
+        carried = []
+        for trajectory in known:
+            near = [candidate for candidate in weaker
+                    if self._distance_over_gate(trajectory, candidate, period_px) <= 1.0]
+            if near:
+                best = max(near, key=lambda candidate: candidate.statistic)
+                weaker = [candidate for candidate in weaker if candidate is not best]
+                carried.append(replace(best, id=trajectory.id, reason=''))
+        return carried
 
     def _distance_over_gate(self, older: Trajectory, newer: Trajectory,
                             period: float | None) -> float:

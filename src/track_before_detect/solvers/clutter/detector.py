@@ -43,6 +43,8 @@ MOST_TRAJECTORIES = 30
 EXPECTED = 3.0
 # Deviations beyond which pixels beside a target belong to it, however wide it is.
 PART_OF_TARGET = 3.0
+# Widths of the PSF by which what belongs to a target is grown: its slopes add up over the frames.
+SLOPE = 2.0
 # Distance from the border, in widths of the PSF, within which the scene comes in and goes.
 BORDER = 3.0
 # Frames that a path may owe its statistic to more than in equal shares.
@@ -80,6 +82,10 @@ class ClutterDetector(PathDetector):
                        key=lambda path: path.value)
             self._set_aside(frames, path.positions)
             others = self._strongest(task, frames)
+            if not others:
+                # Nothing is left of the frames that it could be compared with.
+                paths = []
+                break
             tail = self._tail(others, frames.shape[1:])
             level, least = tail.threshold(rate), tail.threshold(rate, min(float(share), 1.0))
             trajectory = self._trajectory(task, path, level)
@@ -125,7 +131,8 @@ class ClutterDetector(PathDetector):
             inner = inner[_window(x, y, 3 * reach, frame.shape)]
             parts, _ = ndimage.label((np.abs(wide) > PART_OF_TARGET) | inner, np.ones((3, 3)))
             own = np.unique(parts[inner])
-            wide[np.isin(parts, own[own > 0])] = 0
+            slope = 2 * round(SLOPE * self.measurement.width_px) + 1
+            wide[ndimage.maximum_filter(np.isin(parts, own[own > 0]), slope)] = 0
 
     def _trajectory(self, task: Task, path: FoundPath, level: float,
                     reason: str = '') -> FoundTrajectory:
@@ -139,8 +146,11 @@ class ClutterDetector(PathDetector):
     def _reason(self, task: Task, trajectory: FoundTrajectory) -> str:
         """Return why a trajectory above the threshold is no target, or nothing."""
         height, width = task.paths.frames.shape[1:]
-        inside = np.minimum(trajectory.positions, [width - 1, height - 1] - trajectory.positions)
-        if np.median(inside.min(axis=1)) < BORDER * self.measurement.width_px:
+        last = np.array([width - 1, height - 1])
+        # All of a 1-D sensor is near a border.
+        margin = np.minimum(BORDER * self.measurement.width_px, last / 8)
+        inside = np.minimum(trajectory.positions, last - trajectory.positions) - margin
+        if np.median(inside.min(axis=1)) < 0:
             return 'on the border of the frames'
         power = np.nan_to_num(np.abs(trajectory.amplitudes)) ** 2
         usual = 1 - STRONG_FRAMES / len(power)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-import math
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -33,10 +32,10 @@ class PathTail:
     count: int
 
     def threshold(self, rate: float, share: float = 1.0) -> float:
-        """Return what the largest statistic passes with a probability.
+        """Return what the largest statistic, which is none of these, passes with a probability.
 
-        The scale is known from as many excesses as there are; the excess of one more over their
-        mean is Pareto distributed, which adds what they do not tell.
+        The scale is known from as many excesses as there are; an excess over their mean is Pareto
+        distributed, which adds what they do not tell, and the largest is that of one more.
 
         Parameters
         ----------
@@ -45,8 +44,7 @@ class PathTail:
         share : float
             Of the frame, in which it is to hold.
         """
-        expected = -math.log1p(-rate) / share
-        beyond = (self.count / expected) ** (1 / self.count) - 1
+        beyond = ((self.count + 1) * share / rate) ** (1 / self.count) - 1
         return self.start + self.scale * self.count * max(beyond, 0.0)
 
 

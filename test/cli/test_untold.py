@@ -1,0 +1,67 @@
+"""Without any option: recordings of the kinds that people have are searched as they should be."""
+
+import csv
+import logging
+
+import numpy as np
+import pytest
+
+from kinds import KINDS, Variant
+from track_before_detect.cli import main
+
+VARIANTS = (
+    Variant(seed=101, shape=(72, 104), fps=30, snr=5, level=3000, gain=12),
+    Variant(seed=102, shape=(128, 64), fps=9, snr=6, level=12000, gain=60),
+    Variant(seed=103, shape=(96, 80), fps=50, snr=4.5, level=900, gain=7),
+)
+NOT_YET = {
+    'telemetry': 'rows of counters are not recognised',
+    'decibels': 'the downward tail of decibels is not taken off',
+}
+FAINT = {
+    ('photons', 101): 'the noise level of the bright half is taken for that of the dark half',
+    ('photons', 103): 'the noise level of the bright half is taken for that of the dark half',
+    ('shaking', 103): 'SNR 4.5, of which registration and the median leave 3',
+}
+
+
+@pytest.fixture(autouse=True)
+def quiet_logging(monkeypatch):
+    """Keep the command from configuring the logging of the tests."""
+    monkeypatch.setattr(logging, 'basicConfig', lambda **_: None)
+
+
+def found_in(folder, recording):
+    """Return the rows frame, x, y of each trajectory that the plain command finds."""
+    np.savez(folder / 'a.npz', **recording)
+    main(['detect', str(folder / 'a.npz'), '--no-overlay', '--output', str(folder / 'out')])
+    trajectories = {}
+    with open(folder / 'out' / 'trajectories.csv', newline='') as file:
+        for row in csv.DictReader(file):
+            trajectories.setdefault(row['trajectory_id'], []).append(
+                [float(row[name]) for name in ('frame', 'x_px', 'y_px')])
+    return [np.array(rows) for rows in trajectories.values()]
+
+
+def with_reasons():
+    for kind in KINDS:
+        for variant in VARIANTS:
+            reason = NOT_YET.get(kind) or FAINT.get((kind, variant.seed))
+            marks = [pytest.mark.xfail(strict=True, reason=reason)] if reason else []
+            yield pytest.param(kind, variant, marks=marks, id=f'{kind}-{variant.seed}')
+
+
+@pytest.mark.parametrize(('kind', 'variant'), list(with_reasons()))
+def test_the_target_is_the_one_trajectory(tmp_path, kind, variant):
+    recording = KINDS[kind](variant, True)
+    [rows] = found_in(tmp_path, recording)
+    places = dict(zip(rows[:, 0].astype(int), rows[:, 1:], strict=True))
+    near = [np.hypot(*(places.get(int(frame), np.full(2, np.inf)) - at)) <= 2
+            for frame, _, *at in recording['truth']]
+    assert np.mean(near) >= 0.8
+
+
+@pytest.mark.parametrize('variant', VARIANTS, ids=lambda variant: variant.seed)
+@pytest.mark.parametrize('kind', list(KINDS))
+def test_nothing_is_found_without_a_target(tmp_path, kind, variant):
+    assert found_in(tmp_path, KINDS[kind](variant, False)) == []

@@ -1,0 +1,129 @@
+"""A look at the first frames chooses options; what was told stays."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+from track_before_detect.capabilities import check_options
+from track_before_detect.errors import ParameterError
+from track_before_detect.options import DetectorOptions
+from track_before_detect.tracking.presets import AUTO, choose_options, NONE, PRESETS
+
+NO_FRAMES = np.zeros((0, 4, 4))
+
+
+def unit_noise(seed, shape=(20, 48, 64), n_targets=0):
+    rng = np.random.default_rng(seed)
+    frames = rng.standard_normal(shape)
+    n_frames, height, width = shape
+    y, x = np.mgrid[:height, :width]
+    for _ in range(n_targets):
+        start, step = rng.uniform(0, [width, height]), rng.uniform(-1, 1, 2)
+        snr = np.exp(rng.uniform(np.log(3), np.log(50)))
+        for k, frame in enumerate(frames):
+            cx, cy = start + k * step
+            spot = np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / 2)
+            frame += snr * spot / max(np.linalg.norm(spot), 1e-9)
+    return frames
+
+
+def scene(shape=(10, 64, 80), jitter=0.0, seed=3):
+    rng = np.random.default_rng(seed)
+    n_frames, height, width = shape
+    ground = 30 * ndimage.gaussian_filter(rng.normal(size=(height + 40, width + 40)), 1.5) / 0.19
+    y, x = np.mgrid[:height, :width]
+    moves = np.cumsum(rng.normal(0, jitter, (n_frames, 2)), axis=0)
+    frames = [ndimage.map_coordinates(ground, [y + 20 + dy, x + 20 + dx]) for dx, dy in moves]
+    return np.array(frames) + 500 + 2 * rng.normal(size=shape)
+
+
+@pytest.mark.parametrize('n_targets', [0, 1, 3, 6])
+@pytest.mark.parametrize('shape', [(20, 64, 64), (20, 40, 160), (5, 128, 128), (2, 256, 256)])
+def test_simulated_noise_is_searched_as_before(shape, n_targets):
+    for seed in range(8):
+        choice = choose_options(AUTO, {}, unit_noise([seed, n_targets], shape, n_targets))
+        assert choice.options == DetectorOptions()
+        assert len(choice.reasons) == 1
+
+
+@pytest.mark.parametrize('frames', [
+    10 + unit_noise(1), 2 * unit_noise(1),
+    ndimage.gaussian_filter(unit_noise(1), (0, 1, 1)) / 0.28,
+    unit_noise(1)[:1].repeat(20, axis=0), np.abs(unit_noise(1))])
+def test_other_noise_is_not_taken_for_the_simulated_one(frames):
+    options, reasons = choose_options(AUTO, {}, frames)
+    assert options.calibration == 'clutter'
+    assert 'scene' in reasons[0]
+
+
+def test_complex_frames_are_scaled_and_nothing_else():
+    frames = unit_noise(1) + 1j * unit_noise(2)
+    options, [reason] = choose_options(AUTO, {}, frames)
+    assert options == DetectorOptions(amplitudes='complex', noise='robust')
+    assert 'complex' in reason
+
+
+def test_shaking_scene_is_registered_and_searched_on_the_image():
+    options, reasons = choose_options(AUTO, {}, scene(jitter=1.0))
+    assert options.registration == 'translation'
+    assert options.search_plane == 'image'
+    assert any('px' in reason for reason in reasons)
+
+
+@pytest.mark.parametrize('value', [0, np.nan, 7])
+@pytest.mark.parametrize('shape', [(20, 16, 16), (2, 8, 8), (1, 1, 50)])
+def test_blank_frames_are_no_error(value, shape):
+    frames = np.full(shape, value, float)
+    options, reasons = choose_options(AUTO, {}, frames)
+    check_options(options)
+    assert reasons
+
+
+def test_masked_pixels_do_not_matter():
+    frames = unit_noise(4)
+    frames[:, :5] = np.nan
+    frames[3] = np.nan
+    frames[:, 20, 20] = np.inf
+    assert choose_options(AUTO, {}, frames).options == DetectorOptions()
+
+
+@pytest.mark.parametrize('name', [field.name for field in dataclasses.fields(DetectorOptions)])
+def test_an_option_told_at_its_default_stays_there(name):
+    default = getattr(DetectorOptions(), name)
+    for preset, frames in [(AUTO, scene(jitter=1.0)), *((name, NO_FRAMES) for name in PRESETS)]:
+        assert getattr(choose_options(preset, {name: default}, frames).options, name) == default
+
+
+@pytest.mark.parametrize('told', [
+    {'noise': 'map'}, {'background': 'none'}, {'psf_sigma_px': 3.0}, {'batch_length': 20},
+    {'batch_length': 8}, {'hop': 2}, {'false_alarm_rate': 0.2}, {'amplitudes': 'non-negative'},
+    {'search_plane': 'scene'}, {'registration': 'homography'}, {'calibration': 'noise'},
+    {'threshold': 9.0}, {'detector': 'greedy'}, {'presence': 'partial'},
+    {'amplitude_model': 'constant'}, {'motion_model': 'static'}, {'max_speed_px_s': 30.0}])
+def test_what_was_told_wins_and_goes_with_the_rest(told):
+    options, _ = choose_options(AUTO, told, scene(jitter=1.0))
+    assert {name: getattr(options, name) for name in told} == told
+    check_options(options)
+
+
+def test_threshold_from_noise_is_said_to_be_passed_by_scenes():
+    options, reasons = choose_options(AUTO, {'threshold': 9.0}, scene())
+    assert options.calibration == 'noise'
+    assert 'threshold from noise' in reasons[-1]
+
+
+@pytest.mark.parametrize('preset', PRESETS)
+def test_every_preset_is_valid(preset):
+    told = {'range_bins_per_doppler_bin': 0.1} if preset == 'radar_range_doppler' else {}
+    options, _ = choose_options(preset, told, NO_FRAMES)
+    check_options(options)
+    assert (options == DetectorOptions()) == (preset == NONE)
+
+
+def test_unknown_names_are_refused_with_the_nearest():
+    with pytest.raises(ParameterError, match='eoir_static'):
+        choose_options('eoir_statik', {}, NO_FRAMES)
+    with pytest.raises(ParameterError, match='background'):
+        choose_options(AUTO, {'backgroud': 'none'}, unit_noise(1))
