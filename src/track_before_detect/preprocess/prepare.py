@@ -23,7 +23,7 @@ from track_before_detect.preprocess.noise_level import (
     pixel_level,
     scene_level,
 )
-from track_before_detect.preprocess.registration import register
+from track_before_detect.preprocess.registration import register, Registration
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
 from track_before_detect.types import FrameBatch
@@ -66,6 +66,11 @@ class PreparedBatch:
         None where the noise differs between frames at most.
     unit : float
         Standard deviation of the noise at a weight of one, in the units of the input.
+    registration : Registration or None
+        Where the scene is in each frame as it came; None unless that was asked for.
+    scene : array, shape (T, 3, 3), or None
+        The maps of ``registration`` where ``frames`` are not moved by them: what follows them is
+        a part of the scene, or of what registration left of it. None elsewhere.
     """
 
     frames: NDArray
@@ -75,12 +80,15 @@ class PreparedBatch:
     maps: NDArray[np.float64]
     weights: NDArray[np.float32] | None = None
     unit: float = 1.0
+    registration: Registration | None = None
+    scene: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.frames)
 
 
-def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> PreparedBatch:
+def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float,
+            registration: Registration | None = None) -> PreparedBatch:
     """Register frames, take off the background and scale the noise to one, each if asked for.
 
     All but the last step leaves every frame on its own grid, with its noise white. The last moves
@@ -98,6 +106,8 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
         what is known of the pixels.
     width_px : float
         Standard deviation in pixels of a target, as the point spread function has it.
+    registration : Registration, optional
+        What an earlier call found of the same batch.
 
     Returns
     -------
@@ -109,8 +119,8 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
     if options.mask is not None:
         prepared = _masked(prepared, masked_pixels(options.mask, batch))
     on_plane = options.registration != 'none' and options.search_plane == 'scene'
-    if on_plane or (options.registration != 'none' and options.background in _STILL_SCENE):
-        prepared = _registered(prepared, options.registration)
+    if options.registration != 'none':
+        prepared = _registered(prepared, options.registration, registration)
     if options.background in _STILL_SCENE:
         prepared = _without_still_scene(prepared)
     if options.background in ('spatial_median', 'temporal_spatial_median'):
@@ -128,7 +138,9 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
     if on_plane:
         prepared = _on_plane(prepared, options.registration)
     elif len(prepared):
-        prepared = replace(prepared, maps=geometry.translations(np.zeros((len(prepared), 2))))
+        prepared = replace(
+            prepared, maps=geometry.translations(np.zeros((len(prepared), 2))),
+            scene=_credible(prepared.registration))
     _check_size(prepared.frames)
     return prepared
 
@@ -168,8 +180,11 @@ def _masked(prepared: PreparedBatch, masked: NDArray[np.bool_]) -> PreparedBatch
     return replace(prepared, frames=np.where(masked, _nan(prepared.frames), prepared.frames))
 
 
-def _registered(prepared: PreparedBatch, model: str) -> PreparedBatch:
+def _registered(prepared: PreparedBatch, model: str,
+                known: Registration | None) -> PreparedBatch:
     """Return a batch with the map from the plane to each frame, and say what is doubtful."""
+    if known is not None:
+        return replace(prepared, maps=known.maps, registration=known)
     registration = register(prepared.frames, model)
     doubtful = np.flatnonzero(~registration.credible)
     if doubtful.size:
@@ -182,7 +197,14 @@ def _registered(prepared: PreparedBatch, model: str) -> PreparedBatch:
         _logger.warning(
             'registration=%s found no more than a shift for %d of %d frames (the first is %d)',
             model, shifted.size, len(prepared), prepared.frame_indices[shifted[0]])
-    return replace(prepared, maps=registration.maps)
+    return replace(prepared, maps=registration.maps, registration=registration)
+
+
+def _credible(registration: Registration | None) -> NDArray[np.float64] | None:
+    """Return the maps of a registration that most frames agree to."""
+    if registration is None or np.mean(registration.credible) < 0.5:
+        return None
+    return registration.maps
 
 
 def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:

@@ -60,6 +60,8 @@ class Task:
         What a target looks like in these frames.
     earlier : EarlierPaths or None
         Where targets of the batch before are, on the plane that is searched.
+    scene : array, shape (T, 3, 3), or None
+        How the scene moves in the frames; see :class:`FrameBatch`.
     """
 
     graph: StateGraph
@@ -69,6 +71,7 @@ class Task:
     weights: NDArray[np.float32]
     measurement: MeasurementModel
     earlier: EarlierPaths | None
+    scene: NDArray[np.float64] | None = None
 
 
 class PathDetector(BatchDetector):
@@ -122,7 +125,7 @@ class PathDetector(BatchDetector):
         paths = WorkingSet(frames, weights, measurement,
                            self.scale.penalty(threshold, len(frames)), self.model, columns.period)
         result = self.solve(Task(graph, search, paths, self._graphs.times(stamps, measurement),
-                                 weights, measurement, columns.on_strip(earlier)))
+                                 weights, measurement, columns.on_strip(earlier), batch.scene))
         return replace(result, found=columns.in_frame(result.found))
 
     @abstractmethod

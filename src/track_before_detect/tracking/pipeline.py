@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 import logging
 
@@ -14,8 +15,13 @@ from track_before_detect.errors import DataError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.prepare import prepare, PreparedBatch
+from track_before_detect.preprocess.registration import Registration
 from track_before_detect.preprocess.robust import median_deviation
-from track_before_detect.solvers.batch_detector import BatchDetector, FoundTrajectory
+from track_before_detect.solvers.batch_detector import (
+    BatchDetector,
+    BatchResult,
+    FoundTrajectory,
+)
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
 from track_before_detect.solvers.clutter.detector import BELOW, ClutterDetector, SEPARATION
@@ -29,6 +35,8 @@ from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
 _LOG = logging.getLogger(__name__)
+# Is shown a batch as it came, prepared, and what was found in it, once for each background.
+Watch = Callable[[FrameBatch, PreparedBatch, BatchResult], None]
 # A spread of the pixels above which noise=none must be an oversight.
 MOST_SPREAD = 3.0
 # Median interval of frames beyond which stamps cannot be seconds.
@@ -67,11 +75,14 @@ class TrackingPipeline:
         Pipeline that this one takes over from, with the identities it knows.
     detector : BatchDetector, optional
         The detector that the options name unless given.
+    watch : callable, optional
+        Shown each batch as it came, prepared, and what was found in it.
     """
 
     def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None,
-                 detector: BatchDetector | None = None):
+                 detector: BatchDetector | None = None, watch: Watch | None = None):
         self._options = options
+        self._watch = watch
         # The same search for each background, at its share of the rate.
         self._backgrounds = BACKGROUNDS.get(options.background, (options.background,))
         self._detector = detector or detector_for(options.replace(
@@ -125,7 +136,11 @@ class TrackingPipeline:
             in the batches before.
         """
         _check(batch)
-        results = [self._search(batch, background, progress) for background in self._backgrounds]
+        registration = None
+        results = []
+        for background in self._backgrounds:
+            result, registration = self._search(batch, background, registration, progress)
+            results.append(result)
         found = [trajectory for result in results for trajectory in result.trajectories]
         rejected = [trajectory for result in results for trajectory in result.rejected]
         if len(results) > 1:
@@ -140,16 +155,18 @@ class TrackingPipeline:
         return self._stitcher.carried_on(
             known, [trajectory for trajectory in weaker if trajectory.reason == BELOW])
 
-    def _search(self, batch: FrameBatch, background: str,
-                progress: Progress | None) -> DetectionResult:
-        """Find the trajectories beside one background, without ids."""
+    def _search(self, batch: FrameBatch, background: str, registration: Registration | None,
+                progress: Progress | None) -> tuple[DetectionResult, Registration | None]:
+        """Find the trajectories beside one background, without ids, and the registration."""
         options = self._options.replace(background=background)
-        prepared = prepare(batch, options, psf_of(options).width_px)
+        prepared = prepare(batch, options, psf_of(options).width_px, registration)
         self._check_scale(prepared.frames[len(batch) // 2])
         earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
         result = self._detector.detect(
-            FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices),
+            FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices, prepared.scene),
             prepared.weights, earlier, progress)
+        if self._watch is not None:
+            self._watch(batch, prepared, result)
         weighted = prepared.weights is not None
         unit = np.array(prepared.unit) if weighted else prepared.noise_level
         period = self._period(prepared.frames.shape[2])
@@ -158,7 +175,7 @@ class TrackingPipeline:
                 (trajectory := _in_original_frames(one, prepared, unit, period)).positions).any()]
             for ones in (result.found, result.rejected))
         return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
-                               rejected=rejected)
+                               rejected=rejected), prepared.registration
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""

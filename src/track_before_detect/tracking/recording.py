@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.timestamps import increasing_frames, median_interval, pieces
-from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.tracking.pipeline import TrackingPipeline, Watch
 from track_before_detect.tracking.repeated_frames import RepeatedFrames
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Step, Trajectory
 
@@ -82,7 +82,8 @@ def _batch(held: Iterable[tuple[int, NDArray]], stamps: NDArray[np.float64]) -> 
 
 def detect_recording(recording: FrameSequence, options: DetectorOptions,
                      progress: Progress | None = None,
-                     pipeline: BatchPipeline | None = None) -> DetectionResult:
+                     pipeline: BatchPipeline | None = None,
+                     watch: Watch | None = None) -> DetectionResult:
     """Find all trajectories of a recording.
 
     Parameters
@@ -95,6 +96,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         Called with a label and the share done, 0 to 1.
     pipeline : BatchPipeline, optional
         Searches the batches; that of a single sensor unless given.
+    watch : callable, optional
+        Shown each batch of a single sensor, as :class:`TrackingPipeline` does.
 
     Returns
     -------
@@ -108,7 +111,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     stamps = np.asarray(recording.stamps, float)
     repeated = RepeatedFrames()
     if pipeline is None:
-        pipeline = TrackingPipeline(options)
+        pipeline = TrackingPipeline(options, watch=watch)
         increasing = increasing_frames(stamps)
         if len(increasing) < min(2, n_frames):
             raise DataError(f'stamps must increase, got {n_frames} that do not')

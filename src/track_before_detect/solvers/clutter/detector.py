@@ -20,6 +20,7 @@ from scipy import ndimage
 
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
 from track_before_detect.solvers.clutter.path_tail import path_tail, PathTail
+from track_before_detect.solvers.clutter.reasons import reason_against
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
 from track_before_detect.solvers.search.path_search import FoundPath
@@ -40,10 +41,6 @@ MOST_TRAJECTORIES = 30
 EXPECTED = 3.0
 # Deviations beyond which pixels beside a target belong to it, however wide it is.
 PART_OF_TARGET = 3.0
-# Distance from the border, in widths of the PSF, within which the scene comes in and goes.
-BORDER = 3.0
-# Frames that a path may owe its statistic to more than in equal shares.
-STRONG_FRAMES = 2
 
 
 class ClutterDetector(PathDetector):
@@ -78,7 +75,8 @@ class ClutterDetector(PathDetector):
                 paths.insert(0, path)
                 status = 'converged'
                 break
-            reason = self._reason(task, trajectory)
+            reason = reason_against(trajectory, task.paths.frames,
+                                    self.measurement.width_px, task.scene)
             (rejected if reason else found).append(replace(trajectory, reason=reason))
             paths = others
         if not paths:
@@ -131,18 +129,6 @@ class ClutterDetector(PathDetector):
         paths.remove(np.array([added]))
         return FoundTrajectory(path.positions, amplitudes, statistic,
                                self.model.snr(seen[visible]), reason)
-
-    def _reason(self, task: Task, trajectory: FoundTrajectory) -> str:
-        """Return why a trajectory above the threshold is no target, or nothing."""
-        height, width = task.paths.frames.shape[1:]
-        inside = np.minimum(trajectory.positions, [width - 1, height - 1] - trajectory.positions)
-        if np.median(inside.min(axis=1)) < BORDER * self.measurement.width_px:
-            return 'on the border of the frames'
-        power = np.nan_to_num(np.abs(trajectory.amplitudes)) ** 2
-        usual = 1 - STRONG_FRAMES / len(power)
-        if trajectory.statistic ** 2 * (1 - power.max() / power.sum()) < usual:
-            return 'in one frame only'
-        return ''
 
 
 def _window(x: float, y: float, reach: float, shape: tuple[int, ...]) -> tuple[slice, slice]:
