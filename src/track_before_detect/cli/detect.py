@@ -44,6 +44,9 @@ from track_before_detect.recordings.result_files import write_summary_json, writ
 from track_before_detect.timestamps import increasing_frames
 from track_before_detect.types import DetectionResult, Trajectory
 
+# Rejected candidates that are printed.
+MOST_LISTED = 20
+
 _EXAMPLES = """\
 examples:
   a recording whose noise level is not known (most cameras):
@@ -65,8 +68,22 @@ def add_parser(commands: Any) -> None:
         description='Find trajectories in a recording, print them and write to DIR:\n'
         '  trajectories.csv  one row per trajectory and frame\n'
         '  summary.json      options, threshold, counts\n'
-        '  overlay.png       the trajectories over the middle frame, and over time')
+        '  overlay.png       the trajectories over the middle frame, and over time\n'
+        '  rejected.csv      with --explain: the candidates that are none, each with its reason')
     parser.set_defaults(run=run)
+    add_input_arguments(parser)
+    parser.add_argument('--explain', action='store_true',
+                        help='list candidates that were rejected, and why (calibration=clutter)')
+    parser.add_argument('--no-overlay', action='store_true',
+                        help='do not draw overlay.png (no matplotlib needed)')
+    parser.add_argument(
+        '--list-options', action=PrintAndExit,
+        text=lambda: '\n'.join(option_lines(option, 'auto') for option in describe()),
+        help='list every option with its unit, range and meaning')
+
+
+def add_input_arguments(parser: Any) -> None:
+    """Add what is searched, with which options, and where the results go."""
     parser.add_argument(
         'input', metavar='INPUT',
         help='.npz (array frames (T, H, W); optional stamps in seconds, or fps), a folder of '
@@ -81,47 +98,56 @@ def add_parser(commands: Any) -> None:
     parser.add_argument('--output', metavar='DIR', default='output',
                         help='folder for the results, made when missing; files of an earlier run '
                         'are replaced (default: output)')
-    parser.add_argument('--no-overlay', action='store_true',
-                        help='do not draw overlay.png (no matplotlib needed)')
-    parser.add_argument(
-        '--list-options', action=PrintAndExit,
-        text=lambda: '\n'.join(option_lines(option, 'auto') for option in describe()),
-        help='list every option with its unit, range and meaning')
 
 
 def run(arguments: Namespace) -> int:
     """Search the recording, print what was found and write the files; return the exit code."""
-    options = _detector_options(arguments)
-    check_options(options)
+    options = detector_options(arguments)
     output, overlay = Path(arguments.output), not arguments.no_overlay
     check_output_folder(output)
-    if overlay and importlib.util.find_spec('matplotlib') is None:
-        raise MissingExtraError(
-            "overlay.png needs matplotlib: pip install 'track_before_detect[plots]', or give "
-            '--no-overlay')
+    if overlay:
+        require_matplotlib('overlay.png', ', or give --no-overlay')
     started = time.perf_counter()
     with open_recording(arguments.input, arguments.topic) as recording:
-        if len(recording) < 2:
-            raise DataError(
-                f'{recording.name} must hold at least 2 frames to show a motion, got 1')
-        # Compiled loops take a second to load; errors of the input need not wait for them.
-        from track_before_detect.tracking.recording import detect_recording
-
         with Progress(sys.stderr) as progress:
-            try:
-                result = detect_recording(recording, options, progress)
-            except DataError as error:
-                raise DataError(f'{recording.name} cannot be searched: {error}') from error
+            result = search(recording, options, progress)
         seconds = time.perf_counter() - started
         summary = _summary(recording, options, result, seconds)
-        written = _write_results(output, recording, result, summary, overlay)
+        rejected = numbered(result.rejected) if arguments.explain else None
+        written = _write_results(output, recording, result, summary, overlay, rejected)
     print(_table(result.trajectories))
+    if rejected is not None:
+        print(_explanation(rejected, result))
+    elif result.rejected:
+        print(f'{_candidates(len(result.rejected))} rejected: tbd detect --explain lists them')
     print(f'written: {", ".join(map(str, written))}')
     return FOUND if result.trajectories else NOTHING_FOUND
 
 
-def _detector_options(arguments: Namespace) -> DetectorOptions:
-    """Return the options of the file, overridden by those of the command line."""
+def require_matplotlib(what: str, otherwise: str = '') -> None:
+    """Refuse before the work what could not be drawn after it."""
+    if importlib.util.find_spec('matplotlib') is None:
+        raise MissingExtraError(f"{what} needs matplotlib: pip install "
+                                f"'track_before_detect[plots]'{otherwise}")
+
+
+def search(recording: Recording, options: DetectorOptions, progress: Progress,
+           **watch: Any) -> DetectionResult:
+    """Search a recording; errors name it."""
+    if len(recording) < 2:
+        raise DataError(
+            f'{recording.name} must hold at least 2 frames to show a motion, got 1')
+    # Compiled loops take a second to load; errors of the input need not wait for them.
+    from track_before_detect.tracking.recording import detect_recording
+
+    try:
+        return detect_recording(recording, options, progress, **watch)
+    except DataError as error:
+        raise DataError(f'{recording.name} cannot be searched: {error}') from error
+
+
+def detector_options(arguments: Namespace) -> DetectorOptions:
+    """Return the options of the file, overridden by those of the command line, checked."""
     values: dict[str, Any] = {}
     if arguments.config is not None:
         values.update(_read_config(Path(arguments.config)))
@@ -129,7 +155,9 @@ def _detector_options(arguments: Namespace) -> DetectorOptions:
         values[key] = parse_option(key, text)
     if arguments.detector is not None:
         values['detector'] = arguments.detector
-    return DetectorOptions.from_mapping(values)
+    options = DetectorOptions.from_mapping(values)
+    check_options(options)
+    return options
 
 
 def _read_config(path: Path) -> dict[str, Any]:
@@ -194,10 +222,13 @@ def _summary(recording: Recording, options: DetectorOptions, result: DetectionRe
 
 
 def _write_results(output: Path, recording: Recording, result: DetectionResult,
-                   summary: dict[str, Any], overlay: bool) -> list[Path]:
+                   summary: dict[str, Any], overlay: bool,
+                   rejected: list[Trajectory] | None) -> list[Path]:
     """Write all files aside, then move them to their place together."""
     with atomic_folder(output) as aside:
         write_trajectories_csv(aside / 'trajectories.csv', result.trajectories)
+        if rejected is not None:
+            write_trajectories_csv(aside / 'rejected.csv', rejected, with_reason=True)
         if overlay:
             middle = len(recording) // 2
             write_overlay(aside / 'overlay.png', recording[middle], result.trajectories,
@@ -205,6 +236,29 @@ def _write_results(output: Path, recording: Recording, result: DetectionResult,
         write_summary_json(aside / 'summary.json', summary)
         names = sorted(file.name for file in aside.iterdir())
     return [output / name for name in names]
+
+
+def numbered(rejected: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return candidates by descending statistic, numbered from one instead of by identity."""
+    ordered = sorted(rejected, key=lambda candidate: -candidate.statistic)
+    return [dataclasses.replace(one, id=number) for number, one in enumerate(ordered, 1)]
+
+
+def _candidates(count: int) -> str:
+    return f'{count} candidate{"s" if count != 1 else ""}'
+
+
+def _explanation(rejected: Sequence[Trajectory], result: DetectionResult) -> str:
+    """Return the strongest rejected candidates as text, relative to the threshold."""
+    if not rejected:
+        return 'no candidate rejected (calibration=clutter looks for reasons)'
+    shown = rejected[:MOST_LISTED]
+    lines = table([[*TRAJECTORY_HEADER, 'statistic/threshold', 'reason'],
+                   *([*trajectory_cells(one), f'{one.statistic / result.threshold:.2f}',
+                      one.reason] for one in shown)])
+    more = len(rejected) - len(shown)
+    return (f'{_candidates(len(rejected))} rejected, the strongest first:\n{lines}'
+            + (f'\n… and {more} more in rejected.csv' if more else ''))
 
 
 def _table(trajectories: Sequence[Trajectory]) -> str:

@@ -156,7 +156,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
                        'passed over')
         _LOG.warning('%s', remarks[-1])
     return DetectionResult(joined.trajectories(), threshold, status, history, gap, n_searched,
-                           remarks, [one for result in searched for one in result.rejected])
+                           remarks, [one for result in searched for one in result.rejected
+                                     if not joined.holds(one)])
 
 
 def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult],
@@ -181,6 +182,11 @@ class _Joined:
     def add(self, trajectories: list[Trajectory]) -> None:
         for trajectory in trajectories:
             self._parts.setdefault(trajectory.id, []).append(trajectory)
+
+    def holds(self, candidate: Trajectory) -> bool:
+        """Return whether a candidate became a part of a trajectory, by its positions."""
+        return any(part.positions is candidate.positions
+                   for parts in self._parts.values() for part in parts)
 
     def trajectories(self) -> list[Trajectory]:
         joined = [self._join(parts) for parts in self._parts.values()]

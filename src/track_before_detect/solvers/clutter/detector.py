@@ -28,6 +28,8 @@ from track_before_detect.types import Progress, Step
 
 # Reason of candidates that may carry on a trajectory of a neighbouring batch.
 BELOW = 'below the threshold'
+# Reason of the strongest path where no other is a candidate.
+FAR_BELOW = 'far below the threshold'
 # Distance of paths that count as separate, and side of the square that is set aside with each at
 # least, both in widths of the PSF.
 SEPARATION = 5.0
@@ -85,6 +87,8 @@ class ClutterDetector(PathDetector):
         least = tail.threshold(rate, min(float(share), 1.0))
         rejected += [self._trajectory(task, path, level, BELOW) for path in paths
                      if self.scale.statistic(path.value, len(frames)) > least]
+        if not found and not rejected:
+            rejected = [self._trajectory(task, paths[0], level, FAR_BELOW)]
         strongest = max((path.value for path in paths), default=0.0)
         history = [Step(0.0, float('nan'), len(found),
                         self.scale.statistic(strongest, len(frames)) / level - 1)]
