@@ -119,7 +119,7 @@ def run(arguments: Namespace) -> int:
     if rejected is not None:
         print(_explanation(rejected, result))
     elif result.rejected:
-        print(f'{_candidates(len(result.rejected))} rejected: tbd detect --explain lists them')
+        print(_hint(result))
     print(f'written: {", ".join(map(str, written))}')
     return FOUND if result.trajectories else NOTHING_FOUND
 
@@ -245,7 +245,15 @@ def numbered(rejected: Sequence[Trajectory]) -> list[Trajectory]:
 
 
 def _candidates(count: int) -> str:
-    return f'{count} candidate{"s" if count != 1 else ""}'
+    return f'{count} candidate{"s" if count != 1 else ""} rejected'
+
+
+def _hint(result: DetectionResult) -> str:
+    """Return how many candidates were rejected, or how near the threshold the best came."""
+    strongest = max(one.statistic for one in result.rejected) / result.threshold
+    said = (_candidates(len(result.rejected)) if result.trajectories or strongest > 1 else
+            f'the strongest candidate reaches {strongest:.2f} of the threshold')
+    return f'{said}: tbd detect --explain tells more'
 
 
 def _explanation(rejected: Sequence[Trajectory], result: DetectionResult) -> str:
@@ -257,7 +265,7 @@ def _explanation(rejected: Sequence[Trajectory], result: DetectionResult) -> str
                    *([*trajectory_cells(one), f'{one.statistic / result.threshold:.2f}',
                       one.reason] for one in shown)])
     more = len(rejected) - len(shown)
-    return (f'{_candidates(len(rejected))} rejected, the strongest first:\n{lines}'
+    return (f'{_candidates(len(rejected))}, the strongest first:\n{lines}'
             + (f'\n… and {more} more in rejected.csv' if more else ''))
 
 

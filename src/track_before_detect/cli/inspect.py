@@ -57,26 +57,26 @@ def run(arguments: Namespace) -> int:
         from track_before_detect.option_models import psf_of
         from track_before_detect.tracking.pipeline import BACKGROUNDS
 
-        observed = Observation(len(recording) // 2)
+        observed = Observation(len(recording) // 2, BACKGROUNDS.get(
+            options.background, (options.background,)))
         result = search(recording, options, progress, watch=observed)
         observed.add_motion_of_the_scene()
         rejected = numbered(result.rejected)
         wrong = findings(observed, result, options, recording.stamps)
-        drawn = panels(
-            observed, result.trajectories, rejected,
-            BACKGROUNDS.get(options.background, (options.background,)), psf_of(options).width_px)
+        drawn = panels(observed, result.trajectories, rejected, psf_of(options).width_px)
         images = []
         for done, panel in enumerate(drawn):
             progress('drawing', done / len(drawn))
             images.append((panel.name, panel.caption, png([panel], 1)))
         searched = observed.frames_searched()
-        no_data = sum(fact.no_data for fact in observed.facts) / len(observed.facts)
+        facts = observed.all_facts()
+        no_data = sum(fact.no_data for fact in facts) / len(facts)
         counts = [
             ('frames', 'searched', 'repeated or left out', 'batches', 'pixels without data',
              'noise level', 'trajectories', 'candidates rejected'),
             (str(len(recording)), str(searched), str(len(recording) - searched),
              str(result.n_batches), f'{100 * no_data:.1f} %',
-             f'{observed.facts[0].level:.3g}', str(len(result.trajectories)),
+             f'{facts[0].level:.3g}', str(len(result.trajectories)),
              str(len(rejected)))]
         text = page(f'tbd inspect {recording.name}', [
             ('What looks wrong', sentences(wrong, 'Nothing.', 'wrong')),

@@ -51,7 +51,7 @@ def _frames(observed: Observation, options: DetectorOptions, n_frames: int) -> l
             f'{missed} of {n_frames} frames were not searched: they repeat the one before, or '
             'their stamps do not increase. Record without a frame rate conversion; '
             'batch_length counts the other frames.')
-    no_data = float(np.mean([fact.no_data for fact in observed.facts]))
+    no_data = float(np.mean([fact.no_data for fact in observed.all_facts()]))
     if no_data > MANY:
         words.append(
             f'{100 * no_data:.0f} % of the pixels searched hold no data: they are masked, not '
@@ -63,14 +63,15 @@ def _frames(observed: Observation, options: DetectorOptions, n_frames: int) -> l
 
 def _scale(observed: Observation, options: DetectorOptions) -> list[str]:
     words = []
-    middle = float(np.median([fact.middle for fact in observed.facts]))
-    spread = float(np.median([fact.spread for fact in observed.facts]))
+    middle = float(np.median([fact.middle for fact in observed.all_facts()]))
+    spread = float(np.median([fact.spread for fact in observed.all_facts()]))
     if abs(middle) > 1:
         words.append(
             f'What is searched has a median of {middle:.3g} times its noise instead of 0: a '
             f'background is still in it (background={options.background}). Try '
             'background=temporal_median, or spatial_median for targets that hover.')
-    if not 1 / MOST_SPREAD < spread < MOST_SPREAD:
+    # Noise that is not white, and the surroundings of a pixel, make the scale larger on purpose.
+    if spread > MOST_SPREAD or (options.noise == 'none' and spread < 1 / MOST_SPREAD):
         words.append(
             f'What is searched has a spread of {spread:.3g} instead of 1 '
             f'(noise={options.noise}), so statistics and thresholds mean little. Try '
@@ -80,9 +81,9 @@ def _scale(observed: Observation, options: DetectorOptions) -> list[str]:
 
 def _whiteness(observed: Observation, options: DetectorOptions) -> list[str]:
     words = []
-    space, time = (float(np.nanmedian([values[1] for values in lags if len(values) > 1] or [0.0]))
-                   for lags in ([fact.in_space for fact in observed.facts],
-                                [fact.in_time for fact in observed.facts]))
+    # Of several backgrounds the one that leaves least.
+    space, time = (min(lags[1] if len(lags) > 1 else 0.0 for lags in both) for both in zip(
+        *map(observed.whiteness, observed.facts), strict=True))
     if space > COLOURED:
         words.append(
             f'The residual is not white in space: neighbouring pixels agree by {space:.2f}. A '
@@ -92,11 +93,11 @@ def _whiteness(observed: Observation, options: DetectorOptions) -> list[str]:
             + 'a wider psf_sigma_px, if targets are wider than '
             f'{options.psf_sigma_px:g} px, suffers less from it.')
     if time > COLOURED:
-        still = options.background == 'none'
+        kept = options.background in ('none', 'spatial_median')
         words.append(
             f'The residual is not white in time: pixels agree with the frame before by {time:.2f}'
             ', so what is left of the scene looks like slow targets. '
-            + ('Try background=temporal_median.' if still else
+            + ('Try background=temporal_median, or either.' if kept else
                'Try registration=translation if the camera moves.'
                if options.registration == 'none' else
                'Try registration=affine if it turns or zooms.'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,25 +70,27 @@ class Observation:
     ----------
     middle : int
         Frame that is pictured.
+    backgrounds : sequence of str
+        That are taken off one after the other.
 
     Attributes
     ----------
-    facts : list of BatchFacts
-        In the order of the search.
+    facts : dict of str to list of BatchFacts
+        Of each background, in the order of the search.
     views : list of View
         The batch that holds the middle frame deepest inside, once for each background.
     """
 
-    def __init__(self, middle: int):
+    def __init__(self, middle: int, backgrounds: Sequence[str]):
         self.middle = middle
-        self.facts: list[BatchFacts] = []
+        self.facts: dict[str, list[BatchFacts]] = {name: [] for name in backgrounds}
         self.views: list[View] = []
         # Of each frame number: motion of the scene since the one before, and whether it is sure.
         self._motion: dict[int, tuple[NDArray, bool]] = {}
 
     def __call__(self, batch: FrameBatch, prepared: PreparedBatch, result: BatchResult) -> None:
         """Note a batch."""
-        self.facts.append(_facts(prepared, result))
+        min(self.facts.values(), key=len).append(_facts(prepared, result))
         if prepared.registration is not None:
             self._note_motion(batch, prepared.registration)
         distance = self._distance(batch)
@@ -114,14 +117,27 @@ class Observation:
     def strongest(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the middle frame of each batch, and its strongest path over the threshold."""
         best: dict[float, float] = {}
-        for fact in self.facts:
+        for fact in self.all_facts():
             at = float(np.mean(fact.frames[[0, -1]]))
             best[at] = max(best.get(at, -np.inf), fact.strongest)
         return np.array(sorted(best)), np.array([best[at] for at in sorted(best)])
 
     def frames_searched(self) -> int:
         """Return how many frames any batch held."""
-        return len({number for fact in self.facts for number in fact.frames.tolist()})
+        return len({number for fact in self.all_facts() for number in fact.frames.tolist()})
+
+    def all_facts(self) -> list[BatchFacts]:
+        """Return the facts of all batches beside all backgrounds."""
+        return [fact for facts in self.facts.values() for fact in facts]
+
+    def whiteness(self, background: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the mean autocorrelation in space and in time beside a background."""
+        means = []
+        for one in ('in_space', 'in_time'):
+            lags = [getattr(fact, one) for fact in self.facts[background]]
+            longest = max(map(len, lags))
+            means.append(np.mean([lag for lag in lags if len(lag) == longest], axis=0))
+        return means[0], means[1]
 
     def _distance(self, batch: FrameBatch) -> float:
         middle = batch.frame_indices[len(batch) // 2]

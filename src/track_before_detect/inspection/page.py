@@ -12,7 +12,7 @@ body { font: 16px/1.45 system-ui, sans-serif; color: #1b1f24; background: #fff;
 h1 { font-size: 1.4rem; margin: 0 0 .3rem; overflow-wrap: anywhere; }
 h2 { font-size: 1.1rem; margin: 1.6rem 0 .5rem; border-bottom: 1px solid #d0d7de; }
 .pictures { display: grid; gap: 1rem;
-  grid-template-columns: repeat(auto-fill, minmax(min(100%, 26rem), 1fr)); }
+  grid-template-columns: repeat(auto-fill, minmax(min(100%, 23rem), 1fr)); }
 figure { margin: 0; } figure img { width: 100%; height: auto; display: block; }
 figcaption { font-size: .85rem; color: #57606a; }
 .wrong { background: #fff4e5; border-left: 4px solid #d9541e; padding: .4rem 1.6rem; }

@@ -26,6 +26,8 @@ from track_before_detect.types import Trajectory
 SHOWN_DEVIATIONS = 5.0
 # Rejected candidates that are drawn.
 MOST_DRAWN = 30
+# Least motion in pixels per frame at the ends of its axis.
+STILL_PX = 0.5
 REASON_COLOURS = ('#ffd400', '#ff7f0e', '#e377c2', '#17becf', '#bcbd22', '#9467bd')
 BLUE, ORANGE, GREY = '#1f77b4', '#d9541e', '#8c8c8c'
 
@@ -40,7 +42,7 @@ class Panel:
 
 
 def panels(observed: Observation, found: Sequence[Trajectory], rejected: Sequence[Trajectory],
-           backgrounds: Sequence[str], width_px: float) -> list[Panel]:
+           width_px: float) -> list[Panel]:
     """Return all pictures of an inspection.
 
     Parameters
@@ -49,8 +51,6 @@ def panels(observed: Observation, found: Sequence[Trajectory], rejected: Sequenc
         Of a whole search.
     found, rejected : sequence of Trajectory
         Of the whole recording; the rejected ones numbered.
-    backgrounds : sequence of str
-        That were taken off, one for each view.
     width_px : float
         Standard deviation of a target in pixels.
     """
@@ -64,12 +64,13 @@ def panels(observed: Observation, found: Sequence[Trajectory], rejected: Sequenc
               'the candidates rejected around it (dashed, numbers of the table below).',
               lambda axes: _draw_frame(axes, frame, found, here)),
         Panel('Registered mean', 'The mean of the batch, each frame moved by the motion found: '
-              'sharp where registration fits.', lambda axes: _draw_mean(axes, first))]
-    for view, background in zip(observed.views, backgrounds, strict=True):
-        made += _views(view, index, f' ({background})' if len(backgrounds) > 1 else '', width_px)
+              'sharp where registration fits.', lambda axes: _draw_mean(axes, first)),
+        Panel('Best path', 'The strongest path of each batch over its threshold; what lies above '
+              'the line is a candidate.', lambda axes: _draw_strongest(axes, observed))]
+    for view, background in zip(observed.views, observed.facts, strict=True):
+        beside = f' ({background})' if len(observed.facts) > 1 else ''
+        made += _views(view, index, beside, width_px)
     return [*made,
-            Panel('Best path', 'The strongest path of each batch over its threshold; what lies '
-                  'above the line is a candidate.', lambda axes: _draw_strongest(axes, observed)),
             Panel('Motion of the scene', 'By registration, in pixels per frame; crosses where it '
                   'is not credible.', lambda axes: _draw_motion(axes, observed)),
             Panel('Whiteness', 'How much the residual resembles itself some pixels or frames '
@@ -80,14 +81,14 @@ def panels(observed: Observation, found: Sequence[Trajectory], rejected: Sequenc
 def png(drawn: Sequence[Panel], columns: int) -> bytes:
     """Return panels side by side as a PNG; titles only where there are several."""
     rows = -(-len(drawn) // columns)
-    figure = new_figure(6.4 * columns, 4.8 * rows, 'tbd inspect')
+    figure = new_figure(5.4 * columns, 4.2 * rows, 'tbd inspect')
     for number, panel in enumerate(drawn, 1):
         axes = figure.add_subplot(rows, columns, number)
         panel.draw(axes)
         if len(drawn) > 1:
             axes.set_title(panel.name)
     written = io.BytesIO()
-    figure.savefig(written, format='png', dpi=110)
+    figure.savefig(written, format='png', dpi=120)
     return written.getvalue()
 
 
@@ -116,7 +117,7 @@ def _draw_frame(axes: Any, frame: NDArray, found: Sequence[Trajectory],
         _draw_path(axes, one, colour, '--', 0.9)
         x, y = one.positions[np.isfinite(one.positions[:, 0])][-1]
         axes.annotate(str(one.id), (x, y), xytext=(3, -8), textcoords='offset points',
-                      color=colour, fontsize=7, annotation_clip=True)
+                      color=colour, fontsize=7, clip_on=True)
     for one in found:
         _draw_path(axes, one, tuple(part / 255 for part in colour_of(one.id)), '-', 1.6)
         draw_label(axes, one, one.positions)
@@ -160,6 +161,8 @@ def _draw_strongest(axes: Any, observed: Observation) -> None:
     axes.set(xlabel='frame', ylabel='statistic / threshold')
     if np.nanmax(strongest, initial=1.0) > 10:
         axes.set_yscale('log')
+    else:
+        axes.set_ylim(bottom=0)
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3)
 
@@ -174,16 +177,18 @@ def _draw_motion(axes: Any, observed: Observation) -> None:
     for along, name, colour in ((0, 'x', BLUE), (1, 'y', ORANGE)):
         axes.plot(frames, motion[:, along], color=colour, label=name, linewidth=1.2)
         axes.plot(frames[~sure], motion[~sure, along], 'x', color=colour)
+    # What a still camera moves by is no motion.
+    reach = max(STILL_PX, 1.1 * float(np.abs(motion).max()))
+    axes.set_ylim(-reach, reach)
     axes.legend(fontsize=8)
 
 
 def _draw_whiteness(axes: Any, observed: Observation) -> None:
-    for name, colour, of in (('space [px]', BLUE, 'in_space'),
-                             ('time [frames]', ORANGE, 'in_time')):
-        lags = [getattr(fact, of) for fact in observed.facts]
-        longest = max(map(len, lags))
-        mean = np.nanmean([one for one in lags if len(one) == longest], axis=0)
-        axes.plot(np.arange(longest), mean, 'o-', color=colour, label=name)
+    for background, style in zip(observed.facts, ('o-', 's--'), strict=False):
+        beside = f', {background}' if len(observed.facts) > 1 else ''
+        for name, colour, lags in zip(('space [px]', 'time [frames]'), (BLUE, ORANGE),
+                                      observed.whiteness(background), strict=True):
+            axes.plot(np.arange(len(lags)), lags, style, color=colour, label=name + beside)
     axes.axhline(0.0, color=GREY, linewidth=0.8)
     axes.set(xlabel='shift', ylabel='autocorrelation', xlim=(-0.2, MOST_LAGS + 0.2),
              ylim=(-0.3, 1.05))
