@@ -145,7 +145,7 @@ def test_nothing_found_is_exit_code_3_with_the_header_alone(recording_file, stan
 def test_rejected_candidates_are_listed_when_asked_for(recording_file, stand_in, tmp_path, capsys):
     stand_in.rejected = [(8.5 * 0.9, 'below the threshold'), (8.5 * 2, 'edge-like')]
     assert run('detect', recording_file, '--output', tmp_path / 'plain') == 0
-    assert '2 candidates rejected: tbd detect --explain' in capsys.readouterr().out
+    assert '1 candidate rejected: tbd detect --explain' in capsys.readouterr().out
     assert not (tmp_path / 'plain' / 'rejected.csv').exists()
     assert run('detect', recording_file, '--explain', '--output', tmp_path / 'told') == 0
     printed = capsys.readouterr().out
@@ -159,6 +159,13 @@ def test_rejected_candidates_are_listed_when_asked_for(recording_file, stand_in,
         assert 'reason' not in next(csv.reader(file))
 
 
+def test_all_rejected_and_the_strongest_below_are_told(recording_file, stand_in, tmp_path):
+    stand_in.rejected = [(8.5 * (2 - k / 50), 'edge-like') for k in range(100)]
+    run('detect', recording_file, '--explain', '--output', tmp_path / 'out')
+    with open(tmp_path / 'out' / 'rejected.csv', newline='') as file:
+        assert len({row['trajectory_id'] for row in csv.DictReader(file)}) == 50 + 20
+
+
 def test_nothing_found_says_how_near_the_best_came(recording_file, stand_in, tmp_path, capsys):
     stand_in.trajectories = 0
     stand_in.rejected = [(8.5 * 0.7, 'far below the threshold')]
@@ -167,6 +174,7 @@ def test_nothing_found_says_how_near_the_best_came(recording_file, stand_in, tmp
 
 
 def test_what_is_not_rejected_is_not_mentioned(recording_file, stand_in, tmp_path, capsys):
+    stand_in.rejected = [(8.5 * 0.7, 'below the threshold')]
     assert run('detect', recording_file, '--output', tmp_path / 'out') == 0
     assert 'candidate' not in capsys.readouterr().out
 

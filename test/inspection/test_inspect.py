@@ -20,7 +20,7 @@ from track_before_detect.tracking.recording import detect_recording
 
 N_FRAMES, SHAPE = 10, (40, 48)
 SECTIONS = ['What looks wrong', 'In numbers', 'What the detector sees', 'Trajectories',
-            'Rejected candidates', 'Remarks', 'Options']
+            'Candidates that are no targets', 'Remarks', 'Options']
 PICTURES = ['Registered mean', 'Best path', 'Residual', 'Noise map', 'Matched filter',
             'Motion of the scene', 'Whiteness']
 

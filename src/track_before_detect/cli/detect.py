@@ -44,8 +44,8 @@ from track_before_detect.recordings.result_files import write_summary_json, writ
 from track_before_detect.timestamps import increasing_frames
 from track_before_detect.types import DetectionResult, Trajectory
 
-# Rejected candidates that are printed.
-MOST_LISTED = 20
+# Rejected candidates that are printed, and those below the threshold that are told of.
+MOST_LISTED, MOST_BELOW = 20, 20
 
 _EXAMPLES = """\
 examples:
@@ -113,12 +113,12 @@ def run(arguments: Namespace) -> int:
             result = search(recording, options, progress)
         seconds = time.perf_counter() - started
         summary = _summary(recording, options, result, seconds)
-        rejected = numbered(result.rejected) if arguments.explain else None
+        rejected = numbered(result) if arguments.explain else None
         written = _write_results(output, recording, result, summary, overlay, rejected)
     print(_table(result.trajectories))
     if rejected is not None:
         print(_explanation(rejected, result))
-    elif result.rejected:
+    elif n_above(result) or (result.rejected and not result.trajectories):
         print(_hint(result))
     print(f'written: {", ".join(map(str, written))}')
     return FOUND if result.trajectories else NOTHING_FOUND
@@ -238,34 +238,42 @@ def _write_results(output: Path, recording: Recording, result: DetectionResult,
     return [output / name for name in names]
 
 
-def numbered(rejected: Sequence[Trajectory]) -> list[Trajectory]:
-    """Return candidates by descending statistic, numbered from one instead of by identity."""
-    ordered = sorted(rejected, key=lambda candidate: -candidate.statistic)
-    return [dataclasses.replace(one, id=number) for number, one in enumerate(ordered, 1)]
+def numbered(result: DetectionResult) -> list[Trajectory]:
+    """Return the candidates worth telling, numbered by descending statistic.
+
+    All that passed the threshold and were rejected, and the strongest of those that did not.
+    """
+    ordered = sorted(result.rejected, key=lambda candidate: -candidate.statistic)
+    kept = ordered[:n_above(result) + MOST_BELOW]
+    return [dataclasses.replace(one, id=number) for number, one in enumerate(kept, 1)]
 
 
-def _candidates(count: int) -> str:
-    return f'{count} candidate{"s" if count != 1 else ""} rejected'
+def n_above(result: DetectionResult) -> int:
+    """Return how many candidates passed the threshold and were rejected."""
+    return sum(one.statistic > result.threshold for one in result.rejected)
 
 
 def _hint(result: DetectionResult) -> str:
     """Return how many candidates were rejected, or how near the threshold the best came."""
-    strongest = max(one.statistic for one in result.rejected) / result.threshold
-    said = (_candidates(len(result.rejected)) if result.trajectories or strongest > 1 else
-            f'the strongest candidate reaches {strongest:.2f} of the threshold')
-    return f'{said}: tbd detect --explain tells more'
+    count = n_above(result)
+    if not count:
+        strongest = max(one.statistic for one in result.rejected) / result.threshold
+        return (f'the strongest candidate reaches {strongest:.2f} of the threshold: '
+                'tbd detect --explain lists more')
+    return f'{count} candidate{"s" * (count > 1)} rejected: tbd detect --explain lists them'
 
 
 def _explanation(rejected: Sequence[Trajectory], result: DetectionResult) -> str:
     """Return the strongest rejected candidates as text, relative to the threshold."""
     if not rejected:
         return 'no candidate rejected (calibration=clutter looks for reasons)'
+    count = n_above(result)
     shown = rejected[:MOST_LISTED]
     lines = table([[*TRAJECTORY_HEADER, 'statistic/threshold', 'reason'],
                    *([*trajectory_cells(one), f'{one.statistic / result.threshold:.2f}',
                       one.reason] for one in shown)])
     more = len(rejected) - len(shown)
-    return (f'{_candidates(len(rejected))}, the strongest first:\n{lines}'
+    return (f'candidates that are no targets ({count} above the threshold):\n{lines}'
             + (f'\n… and {more} more in rejected.csv' if more else ''))
 
 

@@ -20,7 +20,7 @@ from track_before_detect.cli.console import (
 from track_before_detect.cli.detect import (
     add_input_arguments,
     detector_options,
-    MOST_LISTED,
+    n_above,
     numbered,
     require_matplotlib,
     search,
@@ -61,7 +61,7 @@ def run(arguments: Namespace) -> int:
             options.background, (options.background,)))
         result = search(recording, options, progress, watch=observed)
         observed.add_motion_of_the_scene()
-        rejected = numbered(result.rejected)
+        rejected = numbered(result)
         wrong = findings(observed, result, options, recording.stamps)
         drawn = panels(observed, result.trajectories, rejected, psf_of(options).width_px)
         images = []
@@ -73,18 +73,18 @@ def run(arguments: Namespace) -> int:
         no_data = sum(fact.no_data for fact in facts) / len(facts)
         counts = [
             ('frames', 'searched', 'repeated or left out', 'batches', 'pixels without data',
-             'noise level', 'trajectories', 'candidates rejected'),
+             'noise level', 'trajectories', 'candidates above the threshold rejected'),
             (str(len(recording)), str(searched), str(len(recording) - searched),
              str(result.n_batches), f'{100 * no_data:.1f} %',
              f'{facts[0].level:.3g}', str(len(result.trajectories)),
-             str(len(rejected)))]
+             str(n_above(result)))]
         text = page(f'tbd inspect {recording.name}', [
             ('What looks wrong', sentences(wrong, 'Nothing.', 'wrong')),
             ('In numbers', table(counts, '')),
             ('What the detector sees', pictures(images)),
             ('Trajectories', table(_rows(result.trajectories, result.threshold),
                                    'No trajectory found.')),
-            ('Rejected candidates', table(_rows(rejected[:MOST_LISTED], result.threshold, True),
+            ('Candidates that are no targets', table(_rows(rejected, result.threshold, True),
                                           'None (calibration=clutter looks for reasons).')),
             ('Remarks', sentences(result.remarks, 'None.')),
             ('Options', table(_option_rows(options), '')),
