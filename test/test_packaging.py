@@ -45,7 +45,7 @@ ALLOWED = {
     'detection': BASICS | {'preprocess', 'solvers', 'tracking'},
     'evaluation': BASICS | {'__init__', 'kernels', 'models', 'option_models', 'recordings',
                             'simulation', 'solvers', 'tracking'},
-    'inspection': BASICS | {'preprocess', 'recordings', 'solvers'},
+    'inspection': BASICS | {'preprocess', 'recordings', 'solvers', 'tracking'},
     'cli': BASICS | {'__init__', 'detection', 'evaluation', 'inspection', 'option_models',
                      'recordings', 'simulation',
                      'tracking'},

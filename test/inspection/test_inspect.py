@@ -15,7 +15,6 @@ from track_before_detect.inspection.findings import findings
 from track_before_detect.inspection.observation import Observation
 from track_before_detect.options import DetectorOptions
 from track_before_detect.recordings.recording import Recording
-from track_before_detect.tracking.pipeline import BACKGROUNDS
 from track_before_detect.tracking.recording import detect_recording
 
 N_FRAMES, SHAPE = 10, (40, 48)
@@ -93,12 +92,11 @@ def test_an_output_that_is_a_file_is_refused_before_the_search(tmp_path, capsys)
 def inspected(frames, **options):
     """Return what was seen of frames, and the words for what looks wrong."""
     settings = DetectorOptions(**options)
-    observed = Observation(len(frames) // 2, BACKGROUNDS.get(
-        settings.background, (settings.background,)))
+    observed = Observation(len(frames) // 2)
     recording = Recording('a', frames.shape[1:], frames.dtype, len(frames), Frames(frames))
     result = detect_recording(recording, settings, watch=observed)
     observed.add_motion_of_the_scene()
-    return observed, findings(observed, result, settings, recording.stamps)
+    return observed, findings(observed, result, recording.stamps)
 
 
 class Frames:
@@ -173,3 +171,11 @@ def test_pixels_without_data_are_counted():
     observed, words = inspected(frames, threshold=8.0)
     assert observed.all_facts()[0].no_data == pytest.approx(0.25)
     assert any('25 % of the pixels' in word for word in words)
+
+
+def test_candidates_that_are_all_rejected_are_named():
+    frames = frames_with_target(peak=0.0)
+    frames[:, 20, 12:36] += 8
+    _, words = inspected(frames, calibration='clutter')
+    (word,) = [word for word in words if 'Nothing' in word]
+    assert 'above the threshold' in word and 'edge-like' in word

@@ -55,15 +55,14 @@ def run(arguments: Namespace) -> int:
         from track_before_detect.inspection.page import page, pictures, sentences, table
         from track_before_detect.inspection.panels import panels, png
         from track_before_detect.option_models import psf_of
-        from track_before_detect.tracking.pipeline import BACKGROUNDS
 
-        observed = Observation(len(recording) // 2, BACKGROUNDS.get(
-            options.background, (options.background,)))
+        observed = Observation(len(recording) // 2)
         result = search(recording, options, progress, watch=observed)
         observed.add_motion_of_the_scene()
         rejected = numbered(result)
-        wrong = findings(observed, result, options, recording.stamps)
-        drawn = panels(observed, result.trajectories, rejected, psf_of(options).width_px)
+        wrong = findings(observed, result, recording.stamps)
+        drawn = panels(observed, result.trajectories, rejected,
+                       psf_of(observed.options).width_px)
         images = []
         for done, panel in enumerate(drawn):
             progress('drawing', done / len(drawn))
@@ -87,7 +86,7 @@ def run(arguments: Namespace) -> int:
             ('Candidates that are no targets', table(_rows(rejected, result.threshold, True),
                                           'None (calibration=clutter looks for reasons).')),
             ('Remarks', sentences(result.remarks, 'None.')),
-            ('Options', table(_option_rows(options), '')),
+            ('Options', table(_option_rows(observed.options, options), '')),
         ])
         with atomic_folder(output) as aside:
             (aside / 'inspect.html').write_text(text, encoding='utf-8')
@@ -106,12 +105,15 @@ def _rows(trajectories: Sequence[Trajectory], threshold: float,
                *[one.reason] * with_reason] for one in trajectories)]
 
 
-def _option_rows(options: DetectorOptions) -> list[list[str]]:
+def _option_rows(used: DetectorOptions, given: DetectorOptions) -> list[list[str]]:
     """Return the options as a table, those that are not the default first."""
     default = DetectorOptions()
-    rows = [[field.name, _shown(getattr(options, field.name)),
-             '' if getattr(options, field.name) == getattr(default, field.name) else 'set']
-            for field in dataclasses.fields(options)]
+    rows = []
+    for name in (field.name for field in dataclasses.fields(used)):
+        value = getattr(used, name)
+        origin = ('chosen' if value != getattr(given, name) else
+                  'set' if value != getattr(default, name) else '')
+        rows.append([name, _shown(value), origin])
     return [['option', 'value', ''], *sorted(rows, key=lambda row: row[2] == '')]
 
 

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect.inspection.observation import Observation
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import max_speed
+from track_before_detect.timestamps import increasing_frames
 from track_before_detect.types import DetectionResult
 
 # Agreement of neighbouring pixels, or of a pixel with itself a frame later, that is not white.
@@ -23,8 +25,7 @@ MOVING_PX = 0.2
 NEAR_LIMIT = 0.95
 
 
-def findings(observed: Observation, result: DetectionResult, options: DetectorOptions,
-             stamps: np.ndarray) -> list[str]:
+def findings(observed: Observation, result: DetectionResult, stamps: NDArray) -> list[str]:
     """Return a sentence for each thing that looks wrong.
 
     Parameters
@@ -33,11 +34,10 @@ def findings(observed: Observation, result: DetectionResult, options: DetectorOp
         Of a whole search, with the motion of the scene.
     result : DetectionResult
         What was found.
-    options : DetectorOptions
-        What was searched with.
     stamps : array, shape (T,)
-        Of the frames that were searched, increasing, in seconds.
+        Of the frames of the recording, in seconds.
     """
+    options = observed.options
     return [*_frames(observed, options, len(stamps)), *_scale(observed, options),
             *_whiteness(observed, options), *_motion(observed, options),
             *_found(observed, result, options, stamps)]
@@ -115,7 +115,8 @@ def _motion(observed: Observation, options: DetectorOptions) -> list[str]:
     if options.registration != 'none' and doubtful > MANY:
         return [f'Registration is not credible in {100 * doubtful:.0f} % of the frames: the '
                 'scene shows too little, or changes too much. Try registration=none if the camera '
-                'stands still, registration=translation if it only pans.']
+                'stands still' + (', registration=translation if it only pans.' if
+                                  options.registration != 'translation' else '.')]
     if options.registration == 'none' and doubtful < 0.5:
         speed = float(np.median(np.hypot(*motion[sure].T)))
         if speed > MOVING_PX:
@@ -125,7 +126,7 @@ def _motion(observed: Observation, options: DetectorOptions) -> list[str]:
 
 
 def _found(observed: Observation, result: DetectionResult, options: DetectorOptions,
-           stamps: np.ndarray) -> list[str]:
+           stamps: NDArray) -> list[str]:
     at, strongest = observed.strongest()
     n_found = len(result.trajectories)
     words = []
@@ -133,7 +134,14 @@ def _found(observed: Observation, result: DetectionResult, options: DetectorOpti
         words.append(f'A batch was left before its end was reached ({result.status}): what was '
                      'found is not all, or hardly targets.')
     known = np.isfinite(strongest)
-    if not n_found and known.any():
+    above = [one for one in result.rejected if one.statistic > result.threshold]
+    if not n_found and above:
+        strong = max(above, key=lambda one: one.statistic)
+        words.append(
+            f'Nothing is left of {len(above)} candidate{"s" * (len(above) > 1)} above the '
+            f'threshold: the strongest, {strong.statistic / result.threshold:.2f} of it, is '
+            f'rejected: {strong.reason}. The table of candidates has all.')
+    elif not n_found and known.any():
         best = int(np.nanargmax(strongest))
         words.append(
             f'Nothing passes the threshold: the best path, around frame {at[best]:.0f}, reaches '
@@ -145,7 +153,7 @@ def _found(observed: Observation, result: DetectionResult, options: DetectorOpti
             f'{n_found} trajectories in {result.n_batches} '
             f'batch{"es" if result.n_batches > 1 else ""} are hardly all targets. Try '
             'noise=local and calibration=clutter, which compare paths with their surroundings.')
-    limit = max_speed(options, stamps)
+    limit = max_speed(options, stamps[increasing_frames(stamps)])
     speeds = [np.nanmedian(np.hypot(*one.velocity.T)) for one in result.trajectories
               if np.isfinite(one.velocity).any()]
     if options.search_plane == 'image' or options.registration == 'none':

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect import geometry
+from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.prepare import PreparedBatch
 from track_before_detect.preprocess.registration import register, Registration
 from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.preprocess.whiteness import autocorrelation
 from track_before_detect.solvers.batch_detector import BatchResult
+from track_before_detect.tracking.pipeline import Searched
 from track_before_detect.types import FrameBatch
 
 # Shifts that whiteness is looked at over, in pixels and in frames.
@@ -54,15 +55,6 @@ class BatchFacts:
     no_data: float
 
 
-@dataclass(frozen=True)
-class View:
-    """A batch as it came, prepared, and what was found in it."""
-
-    batch: FrameBatch
-    prepared: PreparedBatch
-    result: BatchResult
-
-
 class Observation:
     """Collects what a :class:`TrackingPipeline` shows.
 
@@ -70,27 +62,26 @@ class Observation:
     ----------
     middle : int
         Frame that is pictured.
-    backgrounds : sequence of str
-        That are taken off one after the other.
 
     Attributes
     ----------
     facts : dict of str to list of BatchFacts
         Of each background, in the order of the search.
-    views : list of View
+    views : list of Searched
         The batch that holds the middle frame deepest inside, once for each background.
     """
 
-    def __init__(self, middle: int, backgrounds: Sequence[str]):
+    def __init__(self, middle: int):
         self.middle = middle
-        self.facts: dict[str, list[BatchFacts]] = {name: [] for name in backgrounds}
-        self.views: list[View] = []
+        self.facts: dict[str, list[BatchFacts]] = {}
+        self.views: list[Searched] = []
         # Of each frame number: motion of the scene since the one before, and whether it is sure.
         self._motion: dict[int, tuple[NDArray, bool]] = {}
 
-    def __call__(self, batch: FrameBatch, prepared: PreparedBatch, result: BatchResult) -> None:
+    def __call__(self, searched: Searched) -> None:
         """Note a batch."""
-        min(self.facts.values(), key=len).append(_facts(prepared, result))
+        batch, prepared = searched.batch, searched.prepared
+        self.facts.setdefault(searched.background, []).append(_facts(prepared, searched.result))
         if prepared.registration is not None:
             self._note_motion(batch, prepared.registration)
         distance = self._distance(batch)
@@ -98,7 +89,7 @@ class Observation:
         if distance < nearest:
             self.views = []
         if distance < nearest or batch is self.views[0].batch:
-            self.views.append(View(batch, prepared, result))
+            self.views.append(searched)
 
     def add_motion_of_the_scene(self) -> None:
         """Register the batch that is pictured, where the search did not."""
@@ -106,6 +97,11 @@ class Observation:
             if view.prepared.registration is None and not np.iscomplexobj(view.batch.frames):
                 frames = np.asarray(view.batch.frames, np.float32)
                 self._note_motion(view.batch, register(frames))
+
+    @property
+    def options(self) -> DetectorOptions:
+        """What was searched with, whatever chose it."""
+        return self.views[0].options
 
     def motion(self) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.bool_]]:
         """Return frame numbers, the motion x, y of the scene in pixels, and which are sure."""

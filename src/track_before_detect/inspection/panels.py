@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.inspection.observation import MOST_LAGS, Observation, View
+from track_before_detect.inspection.observation import MOST_LAGS, Observation
 from track_before_detect.preprocess.resampling import warped_frames
 from track_before_detect.preprocess.whiteness import matched_statistic
 from track_before_detect.recordings.overlay import (
@@ -20,6 +20,7 @@ from track_before_detect.recordings.overlay import (
     new_figure,
     real_picture,
 )
+from track_before_detect.tracking.pipeline import Searched
 from track_before_detect.types import Trajectory
 
 # Of the noise, at the ends of the colours of a residual.
@@ -67,8 +68,8 @@ def panels(observed: Observation, found: Sequence[Trajectory], rejected: Sequenc
               'sharp where registration fits.', lambda axes: _draw_mean(axes, first)),
         Panel('Best path', 'The strongest path of each batch over its threshold; what lies above '
               'the line is a candidate.', lambda axes: _draw_strongest(axes, observed))]
-    for view, background in zip(observed.views, observed.facts, strict=True):
-        beside = f' ({background})' if len(observed.facts) > 1 else ''
+    for view in observed.views:
+        beside = f' ({view.background})' if len(observed.facts) > 1 else ''
         made += _views(view, index, beside, width_px)
     return [*made,
             Panel('Motion of the scene', 'By registration, in pixels per frame; crosses where it '
@@ -92,7 +93,7 @@ def png(drawn: Sequence[Panel], columns: int) -> bytes:
     return written.getvalue()
 
 
-def _views(view: View, index: int, beside: str, width_px: float) -> list[Panel]:
+def _views(view: Searched, index: int, beside: str, width_px: float) -> list[Panel]:
     prepared = view.prepared
     residual = prepared.frames[index]
     matched = matched_statistic(residual, width_px)
@@ -135,7 +136,7 @@ def _draw_path(axes: Any, one: Trajectory, colour: Any, style: str, width: float
               markersize=3)
 
 
-def _draw_mean(axes: Any, view: View) -> None:
+def _draw_mean(axes: Any, view: Searched) -> None:
     frames = real_picture(view.batch.frames).astype(np.float32)
     if view.prepared.registration is not None:
         frames = warped_frames(frames, view.prepared.registration.maps)
@@ -162,7 +163,7 @@ def _draw_strongest(axes: Any, observed: Observation) -> None:
     if np.nanmax(strongest, initial=1.0) > 10:
         axes.set_yscale('log')
     else:
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 1.1 * float(np.nanmax(strongest, initial=1.0)))
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3)
 

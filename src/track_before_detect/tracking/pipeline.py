@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 import logging
 
 import numpy as np
@@ -35,8 +35,6 @@ from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Trajectory
 
 _LOG = logging.getLogger(__name__)
-# Is shown a batch as it came, prepared, and what was found in it, once for each background.
-Watch = Callable[[FrameBatch, PreparedBatch, BatchResult], None]
 # A spread of the pixels above which noise=none must be an oversight.
 MOST_SPREAD = 3.0
 # Median interval of frames beyond which stamps cannot be seconds.
@@ -53,6 +51,18 @@ DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
 }
 
 
+@dataclass(frozen=True)
+class Searched:
+    """A batch as it came, prepared beside one background, and what was found there."""
+
+    batch: FrameBatch
+    prepared: PreparedBatch
+    result: BatchResult
+    options: DetectorOptions
+    background: str
+
+
+Watch = Callable[[Searched], None]
 # What is searched instead of a background that is not one.
 BACKGROUNDS = {'either': ('temporal_median', 'spatial_median')}
 
@@ -76,7 +86,7 @@ class TrackingPipeline:
     detector : BatchDetector, optional
         The detector that the options name unless given.
     watch : callable, optional
-        Shown each batch as it came, prepared, and what was found in it.
+        Shown each batch that was searched, once for each background.
     """
 
     def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None,
@@ -166,7 +176,7 @@ class TrackingPipeline:
             FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices, prepared.scene),
             prepared.weights, earlier, progress)
         if self._watch is not None:
-            self._watch(batch, prepared, result)
+            self._watch(Searched(batch, prepared, result, self._options, background))
         weighted = prepared.weights is not None
         unit = np.array(prepared.unit) if weighted else prepared.noise_level
         period = self._period(prepared.frames.shape[2])
