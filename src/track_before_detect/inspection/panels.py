@@ -159,7 +159,9 @@ def _draw_strongest(axes: Any, observed: Observation) -> None:
     at, strongest = observed.strongest()
     axes.axhline(1.0, color=ORANGE, linestyle='--', label='threshold')
     axes.plot(at, strongest, 'o-', color=BLUE, label='strongest path')
-    axes.set(xlabel='frame', ylabel='statistic / threshold')
+    frames = np.concatenate([fact.frames for fact in observed.all_facts()])
+    axes.set(xlabel='frame', ylabel='statistic / threshold',
+             xlim=(frames.min() - 0.5, frames.max() + 0.5))
     if np.nanmax(strongest, initial=1.0) > 10:
         axes.set_yscale('log')
     else:
