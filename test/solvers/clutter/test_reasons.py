@@ -111,3 +111,11 @@ def test_what_stands_still_under_a_still_camera_follows_nothing():
 def test_both_backgrounds_share_one_registration(caplog):
     found_and_reasons(noise(4), background='either', **OPTIONS)
     assert caplog.text.count('registration found no shift') == 1
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_where_nothing_is_found_the_strongest_path_is_told(seed):
+    frames = np.random.default_rng(seed).standard_normal((8, 40, 40))
+    result = detect(frames, calibration='clutter', false_alarm_rate=0.001)
+    assert not result.trajectories
+    assert 0.1 < max(one.statistic for one in result.rejected) <= 1
