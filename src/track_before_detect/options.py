@@ -162,8 +162,9 @@ class DetectorOptions:
                  'either'))
     search_plane: str = declared(
         'scene', 'Where paths are straight: scene is the registered plane, image the pixels of '
-        'the frames as they came, for cameras that follow their targets; registration then serves '
-        'the background alone.', kind='text', choices=('scene', 'image'))
+        'the frames as they came, for cameras that follow their targets; registration then '
+        'serves the background, and tells what follows the scene.', kind='text',
+        choices=('scene', 'image'))
     noise: str = declared(
         'none', 'How the noise level is found: none takes a standard deviation of 1, robust '
         'estimates one number per frame, map one per pixel, local one per pixel and frame from '
@@ -172,8 +173,8 @@ class DetectorOptions:
         'noise', 'Where the threshold comes from: noise searches simulated noise; clutter goes on '
         'from the strongest paths of the batch itself, less its targets, where what is left of a '
         'scene is no noise. Statistics are then in units of their threshold, which is 1, and what '
-        'lies on the border or lives in one frame is rejected.', kind='text',
-        choices=('noise', 'clutter'))
+        'lies on the border, lives in one frame, follows the scene or is longer than a target is '
+        'rejected.', kind='text', choices=('noise', 'clutter'))
     variance: ArrayOption | None = declared(
         None, 'Variance of the noise of each pixel, an array (H, W) or (frames, H, W) or a file '
         '(.npy, .npz or an image); with noise=robust its scale does not matter. Where it is not '

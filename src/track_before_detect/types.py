@@ -36,11 +36,15 @@ class FrameBatch:
         Time of each frame in seconds, strictly increasing.
     frame_indices : array of int, shape (T,)
         Number of each frame in its recording or stream, strictly increasing.
+    scene : array, shape (T, 3, 3), optional
+        Takes the pixels of one of the frames to where each shows the same of a moving scene, see
+        the module ``geometry``.
     """
 
     frames: NDArray
     stamps: NDArray[np.float64]
     frame_indices: NDArray[np.int64]
+    scene: NDArray[np.float64] | None = None
 
     @classmethod
     def of(cls, frames: NDArray, stamps: NDArray | None = None) -> FrameBatch:

@@ -43,7 +43,7 @@ def recording_file(tmp_path):
 @pytest.fixture
 def stand_in(monkeypatch):
     """Replace the detector by one that reports what it was given; return the calls."""
-    calls = types.SimpleNamespace(options=None, trajectories=2, error=None)
+    calls = types.SimpleNamespace(options=None, trajectories=2, error=None, rejected=())
 
     def detect_recording(recording, options, progress=None):
         calls.options = options
@@ -58,9 +58,12 @@ def stand_in(monkeypatch):
         positions = np.column_stack([5.0 + np.arange(n_frames), np.full(n_frames, 6.0)])
         positions[0] = np.nan
         velocity = np.where(np.isnan(positions), np.nan, (10.0, 0.0))
-        found = [Trajectory(k + 1, positions, np.full(n_frames, 3.0), velocity, recording.stamps,
-                            np.arange(n_frames), 12.345, 3.2) for k in range(calls.trajectories)]
-        return DetectionResult(found, 8.5, gap=float('nan'))
+        found_as = Trajectory(1, positions, np.full(n_frames, 3.0), velocity, recording.stamps,
+                              np.arange(n_frames), 12.345, 3.2)
+        found = [dataclasses.replace(found_as, id=k + 1) for k in range(calls.trajectories)]
+        rejected = [dataclasses.replace(found_as, id=0, statistic=statistic, reason=reason)
+                    for statistic, reason in calls.rejected]
+        return DetectionResult(found, 8.5, gap=float('nan'), rejected=rejected)
 
     module = types.ModuleType('track_before_detect.tracking.recording')
     module.detect_recording = detect_recording
@@ -221,6 +224,43 @@ def test_nothing_found_is_exit_code_3_with_the_header_alone(recording_file, stan
     assert run('detect', recording_file, '--output', tmp_path / 'out') == 3
     assert len((tmp_path / 'out' / 'trajectories.csv').read_text().splitlines()) == 1
     assert (tmp_path / 'out' / 'overlay.png').exists()
+
+
+def test_rejected_candidates_are_listed_when_asked_for(recording_file, stand_in, tmp_path, capsys):
+    stand_in.rejected = [(8.5 * 0.9, 'below the threshold'), (8.5 * 2, 'edge-like')]
+    assert run('detect', recording_file, '--output', tmp_path / 'plain') == 0
+    assert '1 candidate rejected: tbd detect --explain' in capsys.readouterr().out
+    assert not (tmp_path / 'plain' / 'rejected.csv').exists()
+    assert run('detect', recording_file, '--explain', '--output', tmp_path / 'told') == 0
+    printed = capsys.readouterr().out
+    assert printed.index('edge-like') < printed.index('below the threshold')
+    assert '2.00  ' in printed and '0.90  ' in printed
+    with open(tmp_path / 'told' / 'rejected.csv', newline='') as file:
+        rows = list(csv.DictReader(file))
+    assert [row['reason'] for row in rows] == ['edge-like'] * 5 + ['below the threshold'] * 5
+    assert [row['trajectory_id'] for row in rows] == ['1'] * 5 + ['2'] * 5
+    with open(tmp_path / 'told' / 'trajectories.csv', newline='') as file:
+        assert 'reason' not in next(csv.reader(file))
+
+
+def test_all_rejected_and_the_strongest_below_are_told(recording_file, stand_in, tmp_path):
+    stand_in.rejected = [(8.5 * (2 - k / 50), 'edge-like') for k in range(100)]
+    run('detect', recording_file, '--explain', '--output', tmp_path / 'out')
+    with open(tmp_path / 'out' / 'rejected.csv', newline='') as file:
+        assert len({row['trajectory_id'] for row in csv.DictReader(file)}) == 50 + 20
+
+
+def test_nothing_found_says_how_near_the_best_came(recording_file, stand_in, tmp_path, capsys):
+    stand_in.trajectories = 0
+    stand_in.rejected = [(8.5 * 0.7, 'far below the threshold')]
+    assert run('detect', recording_file, '--output', tmp_path / 'out') == 3
+    assert 'reaches 0.70 of the threshold' in capsys.readouterr().out
+
+
+def test_what_is_not_rejected_is_not_mentioned(recording_file, stand_in, tmp_path, capsys):
+    stand_in.rejected = [(8.5 * 0.7, 'below the threshold')]
+    assert run('detect', recording_file, '--output', tmp_path / 'out') == 0
+    assert 'candidate' not in capsys.readouterr().out
 
 
 def test_overlay_can_be_left_out(recording_file, stand_in, tmp_path):

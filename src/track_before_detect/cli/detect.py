@@ -49,6 +49,9 @@ from track_before_detect.recordings.result_files import write_summary_json, writ
 from track_before_detect.timestamps import increasing_frames
 from track_before_detect.types import DetectionResult, STATUSES, Trajectory
 
+# Rejected candidates that are printed, and those below the threshold that are told of.
+MOST_LISTED, MOST_BELOW = 20, 20
+
 _EXAMPLES = """\
 examples:
   a recording whose noise level is not known (most cameras):
@@ -74,8 +77,22 @@ def add_parser(commands: Any) -> None:
         'inputs to DIR/NAME, with one line for each):\n'
         '  trajectories.csv  one row per trajectory and frame\n'
         '  summary.json      options, threshold, counts\n'
-        '  overlay.png       the trajectories over the middle frame, and over time')
+        '  overlay.png       the trajectories over the middle frame, and over time\n'
+        '  rejected.csv      with --explain: the candidates that are none, each with its reason')
     parser.set_defaults(run=run)
+    add_input_arguments(parser)
+    parser.add_argument('--explain', action='store_true',
+                        help='list candidates that were rejected, and why (calibration=clutter)')
+    parser.add_argument('--no-overlay', action='store_true',
+                        help='do not draw overlay.png (no matplotlib needed)')
+    parser.add_argument(
+        '--list-options', action=PrintAndExit,
+        text=lambda: '\n'.join(option_lines(option, 'auto') for option in describe()),
+        help='list every option with its unit, range and meaning')
+
+
+def add_input_arguments(parser: Any) -> None:
+    """Add what is searched, with which options, and where the results go."""
     parser.add_argument(
         'inputs', metavar='INPUT', nargs='+',
         help="recordings, or patterns such as '*.npz': .npz (array frames (T, H, W); optional "
@@ -99,28 +116,14 @@ def add_parser(commands: Any) -> None:
     parser.add_argument('--output', metavar='DIR', default='output',
                         help='folder for the results, made when missing; files of an earlier run '
                         'are replaced (default: output)')
-    parser.add_argument('--no-overlay', action='store_true',
-                        help='do not draw overlay.png (no matplotlib needed)')
-    parser.add_argument(
-        '--list-options', action=PrintAndExit,
-        text=lambda: '\n'.join(option_lines(option, 'auto') for option in describe()),
-        help='list every option with its unit, range and meaning')
 
 
 def run(arguments: Namespace) -> int:
     """Search the recordings, print what was found and write the files; return the exit code."""
-    told = _told_options(arguments)
-    options = DetectorOptions.from_mapping(told)
-    if arguments.preset == 'none':
-        # Those of another preset may be what goes with what was told.
-        check_options(options)
-    if arguments.fps is not None:
-        checked_number('--fps', arguments.fps, above=0)
+    told = told_options(arguments)
     check_output_folder(Path(arguments.output))
-    if not arguments.no_overlay and importlib.util.find_spec('matplotlib') is None:
-        raise MissingExtraError(
-            "overlay.png needs matplotlib: pip install 'track_before_detect[plots]', or give "
-            '--no-overlay')
+    if not arguments.no_overlay:
+        require_matplotlib('overlay.png', ', or give --no-overlay')
     paths = expand_inputs(arguments.inputs)
     if len(paths) > 1:
         return _search_all(paths, arguments, told)
@@ -164,40 +167,60 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
     """Search one recording and write the files; return what was found, also as text."""
     started = time.perf_counter()
     with open_recording(path, arguments.topic, arguments.fps) as recording:
-        if len(recording) < 2:
-            raise DataError(
-                f'{recording.name} must hold at least 2 frames to show a motion, got 1')
-        # Compiled loops take a second to load; errors of the input need not wait for them.
-        from track_before_detect.tracking.batcher import length_of
-        from track_before_detect.tracking.presets import choose_options, FRAMES_SEEN
-        from track_before_detect.tracking.recording import detect_recording
-
-        seen = np.stack([recording[i] for i in range(min(FRAMES_SEEN, len(recording)))])
-        options, reasons = choose_options(arguments.preset, told, seen)
-        check_options(options)
-        for reason in reasons:
-            print(f'preset {arguments.preset}: {reason}', file=sys.stderr)
-        if options.batch_length is None:
-            options = options.replace(batch_length=length_of(len(recording)))
-        with Progress(sys.stderr) as progress:
-            try:
-                # In a thread of its own, which an interrupt does not wait for.
-                [result] = map_in_threads(
-                    lambda frames: detect_recording(frames, options, progress), [recording],
-                    progress.show_time)
-            except DataError as error:
-                raise DataError(f'{recording.name} cannot be searched: {error}') from error
-        result = dataclasses.replace(result, remarks=[*reasons, *result.remarks])
+        result, options = search(recording, arguments.preset, told)
         seconds = time.perf_counter() - started
         summary = _summary(recording, options, result, seconds)
-        written = _write_results(output, recording, result, summary, not arguments.no_overlay)
-        text = '\n'.join([_table(result.trajectories, recording.stamps_known),
-                          *_closing_words(result)])
-        return result, text, written
+        rejected = numbered(result) if arguments.explain else None
+        written = _write_results(output, recording, result, summary, not arguments.no_overlay,
+                                 rejected)
+        words = [_table(result.trajectories, recording.stamps_known), *_closing_words(result)]
+        if rejected is not None:
+            words.append(_explanation(rejected, result))
+        elif n_above(result) or (result.rejected and not result.trajectories):
+            words.append(_hint(result))
+        return result, '\n'.join(words), written
 
 
-def _told_options(arguments: Namespace) -> dict[str, Any]:
-    """Return the options of the file, overridden by those of the command line."""
+def require_matplotlib(what: str, otherwise: str = '') -> None:
+    """Refuse before the work what could not be drawn after it."""
+    if importlib.util.find_spec('matplotlib') is None:
+        raise MissingExtraError(f"{what} needs matplotlib: pip install "
+                                f"'track_before_detect[plots]'{otherwise}")
+
+
+def search(recording: Recording, preset: str, told: Mapping[str, Any],
+           **observe: Any) -> tuple[DetectionResult, DetectorOptions]:
+    """Search a recording with the options of a preset; errors name it."""
+    if len(recording) < 2:
+        raise DataError(
+            f'{recording.name} must hold at least 2 frames to show a motion, got 1')
+    # Compiled loops take a second to load; errors of the input need not wait for them.
+    from track_before_detect.tracking.batcher import length_of
+    from track_before_detect.tracking.presets import choose_options, FRAMES_SEEN
+    from track_before_detect.tracking.recording import detect_recording
+
+    seen = np.stack([recording[i] for i in range(min(FRAMES_SEEN, len(recording)))])
+    options, reasons = choose_options(preset, told, seen)
+    check_options(options)
+    for reason in reasons:
+        print(f'preset {preset}: {reason}', file=sys.stderr)
+    if options.batch_length is None:
+        options = options.replace(batch_length=length_of(len(recording)))
+    with Progress(sys.stderr) as progress:
+        try:
+            # In a thread of its own, which an interrupt does not wait for.
+            [result] = map_in_threads(
+                lambda frames: detect_recording(frames, options, progress, **observe),
+                [recording], progress.show_time)
+        except DataError as error:
+            raise DataError(f'{recording.name} cannot be searched: {error}') from error
+    return dataclasses.replace(result, remarks=[*reasons, *result.remarks]), options
+
+
+def told_options(arguments: Namespace) -> dict[str, Any]:
+    """Return the options of the file, overridden by those of the command line, checked."""
+    if arguments.fps is not None:
+        checked_number('--fps', arguments.fps, above=0)
     values: dict[str, Any] = {}
     if arguments.config is not None:
         values.update(_read_config(Path(arguments.config)))
@@ -205,6 +228,10 @@ def _told_options(arguments: Namespace) -> dict[str, Any]:
         values[key] = parse_option(key, text)
     if arguments.detector is not None:
         values['detector'] = arguments.detector
+    options = DetectorOptions.from_mapping(values)
+    if arguments.preset == 'none':
+        # Those of another preset may be what goes with what was told.
+        check_options(options)
     return values
 
 
@@ -271,10 +298,13 @@ def _summary(recording: Recording, options: DetectorOptions, result: DetectionRe
 
 
 def _write_results(output: Path, recording: Recording, result: DetectionResult,
-                   summary: dict[str, Any], overlay: bool) -> list[Path]:
+                   summary: dict[str, Any], overlay: bool,
+                   rejected: list[Trajectory] | None) -> list[Path]:
     """Write all files aside, then move them to their place together."""
     with atomic_folder(output) as aside:
         write_trajectories_csv(aside / 'trajectories.csv', result.trajectories)
+        if rejected is not None:
+            write_trajectories_csv(aside / 'rejected.csv', rejected, with_reason=True)
         if overlay:
             middle = len(recording) // 2
             write_overlay(aside / 'overlay.png', recording[middle], result.trajectories,
@@ -295,6 +325,45 @@ def _closing_words(result: DetectionResult) -> list[str]:
             f'the best path has a statistic of {result.best_statistic:.2f}, the threshold is '
             f'{result.threshold:.2f}: a larger false_alarm_rate lowers it')
     return words
+
+
+def numbered(result: DetectionResult) -> list[Trajectory]:
+    """Return the candidates worth telling, numbered by descending statistic.
+
+    All that passed the threshold and were rejected, and the strongest of those that did not.
+    """
+    ordered = sorted(result.rejected, key=lambda candidate: -candidate.statistic)
+    kept = ordered[:n_above(result) + MOST_BELOW]
+    return [dataclasses.replace(one, id=number) for number, one in enumerate(kept, 1)]
+
+
+def n_above(result: DetectionResult) -> int:
+    """Return how many candidates passed the threshold and were rejected."""
+    return sum(one.statistic > result.threshold for one in result.rejected)
+
+
+def _hint(result: DetectionResult) -> str:
+    """Return how many candidates were rejected, or how near the threshold the best came."""
+    count = n_above(result)
+    if not count:
+        strongest = max(one.statistic for one in result.rejected) / result.threshold
+        return (f'the strongest candidate reaches {strongest:.2f} of the threshold: '
+                'tbd detect --explain lists more')
+    return f'{count} candidate{"s" * (count > 1)} rejected: tbd detect --explain lists them'
+
+
+def _explanation(rejected: Sequence[Trajectory], result: DetectionResult) -> str:
+    """Return the strongest rejected candidates as text, relative to the threshold."""
+    if not rejected:
+        return 'no candidate rejected (calibration=clutter looks for reasons)'
+    count = n_above(result)
+    shown = rejected[:MOST_LISTED]
+    lines = table([[*TRAJECTORY_HEADER, 'statistic/threshold', 'reason'],
+                   *([*trajectory_cells(one), f'{one.statistic / result.threshold:.2f}',
+                      one.reason] for one in shown)])
+    more = len(rejected) - len(shown)
+    return (f'candidates that are no targets ({count} above the threshold):\n{lines}'
+            + (f'\n… and {more} more in rejected.csv' if more else ''))
 
 
 def _table(trajectories: Sequence[Trajectory], stamps_known: bool) -> str:

@@ -29,7 +29,7 @@ from track_before_detect.preprocess.noise_level import (
     pixel_level,
     scene_level,
 )
-from track_before_detect.preprocess.registration import register
+from track_before_detect.preprocess.registration import register, Registration
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
 from track_before_detect.types import FrameBatch, Remark
@@ -73,6 +73,11 @@ class PreparedBatch:
         What was done with pixels and frames that could not be searched as they came.
     elsewhere : array of bool, shape (T,) or (1,)
         Frames at either end that show another scene, and are masked.
+    registration : Registration or None
+        Where the scene is in each frame as it came; None unless that was asked for.
+    scene : array, shape (T, 3, 3), or None
+        The maps of ``registration`` where ``frames`` are not moved by them: what follows them is
+        a part of the scene, or of what registration left of it. None elsewhere.
     """
 
     frames: NDArray
@@ -84,12 +89,15 @@ class PreparedBatch:
     unit: float = 1.0
     remarks: tuple[Remark, ...] = ()
     elsewhere: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
+    registration: Registration | None = None
+    scene: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.frames)
 
 
-def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> PreparedBatch:
+def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float,
+            registration: Registration | None = None) -> PreparedBatch:
     """Register frames, take off the background and scale the noise to one, each if asked for.
 
     All but the last step leaves every frame on its own grid, with its noise white. The last moves
@@ -107,6 +115,8 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
         ``noise`` say what is done; ``variance`` and ``mask`` what is known of the pixels.
     width_px : float
         Standard deviation in pixels of a target, as the point spread function has it.
+    registration : Registration, optional
+        What an earlier call found of the same batch.
 
     Returns
     -------
@@ -128,8 +138,8 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
     if scale != 'linear':
         prepared, scale = _nearly_gaussian(prepared, scale)
     on_plane = options.registration != 'none' and options.search_plane == 'scene'
-    if on_plane or (options.registration != 'none' and options.background in _STILL_SCENE):
-        prepared = _registered(prepared, options.registration)
+    if options.registration != 'none':
+        prepared = _registered(prepared, options.registration, registration)
     elif options.bad_frames == 'find':
         prepared, _ = _without_other_scenes(prepared)
     if options.background in _STILL_SCENE:
@@ -149,7 +159,9 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> Pre
     if on_plane:
         prepared = _on_plane(prepared, options.registration)
     elif len(prepared):
-        prepared = replace(prepared, maps=geometry.translations(np.zeros((len(prepared), 2))))
+        prepared = replace(
+            prepared, maps=geometry.translations(np.zeros((len(prepared), 2))),
+            scene=_credible(prepared.registration))
     _check_size(prepared.frames)
     return prepared
 
@@ -241,11 +253,12 @@ def _nearly_gaussian(prepared: PreparedBatch, scale: str) -> tuple[PreparedBatch
     return replace(prepared, frames=nearly_gaussian(frames, scale)), scale
 
 
-def _registered(prepared: PreparedBatch, model: str) -> PreparedBatch:
+def _registered(prepared: PreparedBatch, model: str,
+                known: Registration | None) -> PreparedBatch:
     """Return a batch with the map from the plane to each frame, and say what is doubtful."""
     has_data = np.isfinite(prepared.frames).any(axis=(1, 2))
-    registration = register(prepared.frames, model)
-    prepared = replace(prepared, maps=registration.maps)
+    registration = known or register(prepared.frames, model)
+    prepared = replace(prepared, maps=registration.maps, registration=registration)
     doubtful = has_data & ~registration.credible
     if doubtful.any():
         prepared, odd = _without_other_scenes(prepared)
@@ -287,6 +300,13 @@ def _without_other_scenes(prepared: PreparedBatch) -> tuple[PreparedBatch, NDArr
                                 'searched in the scene of most of its frames', cut)
     prepared = _masked(prepared, odd[:, None, None])
     return replace(prepared, elsewhere=elsewhere), odd
+
+
+def _credible(registration: Registration | None) -> NDArray[np.float64] | None:
+    """Return the maps of a registration that most frames agree to."""
+    if registration is None or np.mean(registration.credible) < 0.5:
+        return None
+    return registration.maps
 
 
 def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:

@@ -31,18 +31,68 @@ def coloured_noise_factor(frames: NDArray, width_px: float) -> float:
     float
         Robust deviation of the matched filter's output; 1 unless it is clearly above that.
     """
-    reach = int(np.ceil(4 * width_px))
-    profile = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width_px) ** 2)
-    outputs = []
-    for frame in frames[::-(-len(frames) // _FRAMES_USED)]:
-        finite = np.isfinite(frame)
-        signal = np.where(finite, frame, frame.dtype.type(0))
-        power = finite.astype(frame.dtype)
-        for axis in (0, 1):
-            signal = ndimage.correlate1d(signal, profile, axis=axis, mode='constant')
-            power = ndimage.correlate1d(power, profile ** 2, axis=axis, mode='constant')
-        outputs.append(signal[finite] / np.sqrt(power[finite]))
-    values = np.concatenate(outputs)
+    outputs = [matched_statistic(frame, width_px)
+               for frame in frames[::-(-len(frames) // _FRAMES_USED)]]
+    values = np.concatenate([output[np.isfinite(output)] for output in outputs])
     factor = robust_deviation(values)
     n_independent = max(values.size / (4 * np.pi * width_px ** 2), 1.0)
     return factor if factor > 1 + _SIGNIFICANT / np.sqrt(2 * n_independent) else 1.0
+
+
+def matched_statistic(frame: NDArray, width_px: float) -> NDArray:
+    """Return a frame (H, W) as the matched filter of a Gaussian target sees it.
+
+    Parameters
+    ----------
+    frame : array, shape (H, W)
+        Real or complex, in units of the noise standard deviation, NaN where masked.
+    width_px : float
+        Standard deviation of a target in pixels.
+
+    Returns
+    -------
+    array, shape (H, W)
+        Of unit variance where noise is white; NaN where masked.
+    """
+    reach = int(np.ceil(4 * width_px))
+    profile = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width_px) ** 2)
+    finite = np.isfinite(frame)
+    signal = np.where(finite, frame, frame.dtype.type(0))
+    power = finite.astype(frame.real.dtype)
+    for axis in (0, 1):
+        signal = ndimage.correlate1d(signal, profile, axis=axis, mode='constant')
+        power = ndimage.correlate1d(power, profile ** 2, axis=axis, mode='constant')
+    # The pixel itself keeps the power above 0 wherever it is known.
+    return np.where(finite, signal, np.nan) / np.sqrt(np.where(finite, power, 1))
+
+
+def autocorrelation(frames: NDArray, axis: int, most_lags: int,
+                    clip: float = 5.0) -> NDArray[np.float64]:
+    """Return how much frames of unit noise resemble themselves, shifted along an axis.
+
+    Parameters
+    ----------
+    frames : array, shape (T, H, W)
+        Real or complex frames, NaN where masked.
+    axis : int
+        0 compares each pixel with itself in later frames, 1 and 2 with its neighbours.
+    most_lags : int
+        Largest shift.
+    clip : float
+        Values beyond count as this, so that a few targets do not decide.
+
+    Returns
+    -------
+    array, shape (lags + 1,)
+        1 at no shift, near 0 beyond where noise is white; NaN where nothing is known. No more
+        lags than half of the axis.
+    """
+    parts = np.stack([frames.real, frames.imag]) if np.iscomplexobj(frames) else frames[None]
+    values = np.moveaxis(np.clip(parts, -clip, clip), axis + 1, 0)
+    values = values - np.nanmean(values)
+    size = len(values)
+    products = [values[lag:] * values[:size - lag]
+                for lag in range(min(most_lags, size // 2) + 1)]
+    covariance = np.array([np.nansum(product) / max(np.isfinite(product).sum(), 1)
+                           for product in products])
+    return covariance / covariance[0] if covariance[0] > 0 else np.full(len(products), np.nan)

@@ -63,7 +63,7 @@ def render_overlay(frame: NDArray, trajectories: Sequence[Trajectory]) -> NDArra
     array of uint8, shape (H, W, 3)
         Red, green, blue.
     """
-    image = _real(frame)
+    image = real_picture(frame)
     low, high = contrast_limits(image)
     grey = image - image.dtype.type(low)
     grey *= image.dtype.type(255.0 / (high - low))
@@ -96,38 +96,25 @@ def write_overlay(path: str | os.PathLike, image: NDArray, trajectories: Sequenc
     frame_index : int, optional
         Number of ``image`` in the recording; positions in that frame get a circle.
     """
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError(
-            "overlay pictures need matplotlib: pip install 'track_before_detect[plots]'"
-        ) from error
-    image = _real(image)
+    image = real_picture(image)
     height, width = image.shape
     picture_height = 6.5
     picture_width = float(np.clip(picture_height * width / height, 3.0, 11.0))
-    figure = Figure(figsize=(picture_width + 5.5, picture_height + 0.7), layout='constrained')
-    FigureCanvasAgg(figure)
+    figure = new_figure(picture_width + 5.5, picture_height + 0.7, 'an overlay picture')
     grid = figure.add_gridspec(2, 2, width_ratios=(picture_width, 4.5))
     plane = figure.add_subplot(grid[:, 0])
     over_x = figure.add_subplot(grid[0, 1])
     over_y = figure.add_subplot(grid[1, 1], sharex=over_x)
-    low, high = contrast_limits(image)
-    plane.imshow(image, cmap='gray', vmin=low, vmax=high, interpolation='nearest')
-    # Pixels that are masked stay empty.
-    plane.set_facecolor('black')
-    plane.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel='x [px]',
-              ylabel='y [px]')
+    draw_frame(plane, image)
     _draw_truth((plane, over_x, over_y), truth)
     for trajectory in trajectories:
         _draw_trajectory((plane, over_x, over_y), trajectory, frame_index)
     for trajectory in trajectories[:_MAX_LABELS_IN_PLANE]:
-        _draw_label(plane, trajectory, trajectory.positions)
+        draw_label(plane, trajectory, trajectory.positions)
     if len(trajectories) <= _MAX_LABELS_OVER_TIME:
         for trajectory in trajectories:
             for axes, axis in ((over_x, 0), (over_y, 1)):
-                _draw_label(axes, trajectory, np.column_stack(
+                draw_label(axes, trajectory, np.column_stack(
                     [trajectory.frame_indices, trajectory.positions[:, axis]]))
     over_x.set(ylabel='x [px]')
     over_x.tick_params(labelbottom=False)
@@ -144,6 +131,34 @@ def write_overlay(path: str | os.PathLike, image: NDArray, trajectories: Sequenc
     figure.suptitle(f'{title}: {shown}' if title else shown, fontsize='medium')
     with atomic_path(path) as partial:
         figure.savefig(partial, format='png', dpi=110)
+
+
+def new_figure(width: float, height: float, what: str) -> Any:
+    """Return an empty matplotlib figure, in inches, or say how to install matplotlib."""
+    try:
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise MissingExtraError(
+            f"{what} needs matplotlib: pip install 'track_before_detect[plots]'") from error
+    figure = Figure(figsize=(width, height), layout='constrained')
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def draw_frame(plane: Any, image: NDArray, limits: tuple[float, float] | None = None,
+               colours: str = 'gray') -> Any:
+    """Show a real image (H, W) in axes; masked pixels stay empty.
+
+    ``limits`` are the values at both ends of the ``colours``, those of most pixels unless given.
+    """
+    height, width = image.shape
+    low, high = limits or contrast_limits(image)
+    shown = plane.imshow(image, cmap=colours, vmin=low, vmax=high, interpolation='nearest')
+    plane.set_facecolor('black')
+    plane.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5), xlabel='x [px]',
+              ylabel='y [px]')
+    return shown
 
 
 def _draw_truth(axes: Sequence[Any], truth: NDArray | None) -> None:
@@ -190,7 +205,7 @@ def _draw_trajectory(axes: Sequence[Any], trajectory: Trajectory,
         over_y.plot(frames[last], y[last], marker='.', color=colour)
 
 
-def _draw_label(axes: Any, trajectory: Trajectory, points: NDArray) -> None:
+def draw_label(axes: Any, trajectory: Trajectory, points: NDArray) -> None:
     """Write the number of a trajectory beside the last of its points (T, 2)."""
     from matplotlib.patheffects import withStroke
 
@@ -204,7 +219,7 @@ def _draw_label(axes: Any, trajectory: Trajectory, points: NDArray) -> None:
             annotation_clip=True)
 
 
-def _real(frame: NDArray) -> NDArray[np.floating]:
+def real_picture(frame: NDArray) -> NDArray[np.floating]:
     """Return a real picture of a frame, in the floating-point type that holds its values."""
     frame = np.asarray(frame)
     if np.iscomplexobj(frame):

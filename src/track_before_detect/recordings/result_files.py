@@ -18,7 +18,8 @@ CSV_COLUMNS = ('trajectory_id', 'frame', 'stamp_s', 'x_px', 'y_px', 'vx_px_s', '
                'amplitude', 'snr', 'statistic')
 
 
-def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Trajectory]) -> None:
+def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Trajectory],
+                           with_reason: bool = False) -> None:
     """Write one row per trajectory and frame in which it is present.
 
     Positions are in pixels of the original frames, stamps in seconds with microseconds. ``snr``
@@ -30,10 +31,12 @@ def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Traje
     ----------
     path : path
     trajectories : iterable of Trajectory
+    with_reason : bool
+        Adds a last column, why each is rejected.
     """
     with atomic_path(path) as partial, open(partial, 'w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file, lineterminator='\n')
-        writer.writerow(CSV_COLUMNS)
+        writer.writerow(CSV_COLUMNS + ('reason',) * with_reason)
         for trajectory in trajectories:
             for k in np.flatnonzero(np.isfinite(trajectory.positions).all(axis=1)):
                 writer.writerow([
@@ -42,7 +45,8 @@ def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Traje
                     *(_fixed(value, 3) for value in trajectory.positions[k]),
                     *(_fixed(value, 4) for value in trajectory.velocity[k]),
                     _significant(abs(trajectory.amplitudes[k])),
-                    _significant(trajectory.snr), _significant(trajectory.statistic)])
+                    _significant(trajectory.snr), _significant(trajectory.statistic),
+                    *[trajectory.reason] * with_reason])
 
 
 def write_summary_json(path: str | os.PathLike, mapping: Mapping[str, Any]) -> None:

@@ -65,6 +65,8 @@ class Task(NamedTuple):
         Says when the time is up.
     columns : PeriodicColumns
         How that plane is made of the frames.
+    scene : array, shape (T, 3, 3), or None
+        How the scene moves in the frames; see :class:`FrameBatch`.
     """
 
     targets: TargetModel
@@ -73,6 +75,7 @@ class Task(NamedTuple):
     earlier: EarlierPaths | None
     watch: Watch
     columns: PeriodicColumns
+    scene: NDArray[np.float64] | None
 
     def in_frame(self, result: BatchResult) -> BatchResult:
         """Return a result with its targets in the frames, the strongest first."""
@@ -154,7 +157,7 @@ class PathDetector(BatchDetector):
         paths = WorkingSet(frames, targets.pixel_weights, measurement,
                            self.scale.penalty(threshold, len(frames)), self.model, columns.period)
         return Task(targets, search, paths, columns.on_strip(earlier),
-                    Watch(self.options.max_time_s, progress), columns)
+                    Watch(self.options.max_time_s, progress), columns, batch.scene)
 
     def passes_everywhere(self, task: Task) -> bool:
         """Return whether most places pass the threshold, which no noise does."""

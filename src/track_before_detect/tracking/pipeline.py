@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 import logging
 
 import numpy as np
@@ -14,11 +15,20 @@ from track_before_detect.errors import DataError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.prepare import prepare, PreparedBatch
+from track_before_detect.preprocess.registration import Registration
 from track_before_detect.preprocess.robust import median_deviation
-from track_before_detect.solvers.batch_detector import BatchDetector, FoundTrajectory
+from track_before_detect.solvers.batch_detector import (
+    BatchDetector,
+    BatchResult,
+    FoundTrajectory,
+)
 from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
 from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
-from track_before_detect.solvers.clutter.detector import BELOW, ClutterDetector, SEPARATION
+from track_before_detect.solvers.clutter.detector import (
+    ClutterDetector,
+    MAY_CARRY_ON,
+    SEPARATION,
+)
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.either import EitherDetector
 from track_before_detect.solvers.greedy import GreedyDetector
@@ -55,6 +65,18 @@ DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
 }
 
 
+@dataclass(frozen=True)
+class Searched:
+    """A batch as it came, prepared beside one background, and what was found there."""
+
+    batch: FrameBatch
+    prepared: PreparedBatch
+    result: BatchResult
+    options: DetectorOptions
+    background: str
+
+
+Observer = Callable[[Searched], None]
 # What is searched instead of a background that is not one.
 BACKGROUNDS = {'either': ('temporal_median', 'spatial_median')}
 
@@ -80,13 +102,16 @@ class TrackingPipeline:
         Pipeline that this one takes over from, with the identities it knows.
     detector : BatchDetector, optional
         The detector that the options name unless given.
+    observe : callable, optional
+        Shown each batch that was searched, once for each background.
     """
 
     stamps_may_repeat = False
 
     def __init__(self, options: DetectorOptions, earlier: TrackingPipeline | None = None,
-                 detector: BatchDetector | None = None):
+                 detector: BatchDetector | None = None, observe: Observer | None = None):
         self._options = options
+        self._observe = observe
         # The same search for each background, at its share of the rate.
         self._backgrounds = BACKGROUNDS.get(options.background, (options.background,))
         self._detector = detector or make_detector(options.replace(
@@ -141,14 +166,18 @@ class TrackingPipeline:
             in the batches before.
         """
         _check(batch)
-        results = [self._search(batch, background, progress) for background in self._backgrounds]
+        registration = None
+        results = []
+        for background in self._backgrounds:
+            result, registration = self._search(batch, background, registration, progress)
+            results.append(result)
         found = [trajectory for result in results for trajectory in result.trajectories]
         rejected = [trajectory for result in results for trajectory in result.rejected]
         if len(results) > 1:
             found = _apart(found, SEPARATION * psf_of(self._options).width_px)
         self._before = self._stitcher.link(
             found, self._period(batch.frames.shape[2]),
-            [trajectory for trajectory in rejected if trajectory.reason == BELOW])
+            [trajectory for trajectory in rejected if trajectory.reason in MAY_CARRY_ON])
         worst = max(results, key=lambda result: list(STATUSES).index(result.status))
         return replace(worst, trajectories=list(self._before), rejected=rejected,
                        best_statistic=float(np.fmax.reduce(
@@ -158,22 +187,24 @@ class TrackingPipeline:
     def carried_on(self, known: list[Trajectory], weaker: list[Trajectory]) -> list[Trajectory]:
         """Return the rejected candidates that carry on trajectories; see :class:`Stitcher`."""
         return self._stitcher.carried_on(
-            known, [trajectory for trajectory in weaker if trajectory.reason == BELOW])
+            known, [trajectory for trajectory in weaker if trajectory.reason in MAY_CARRY_ON])
 
-    def _search(self, batch: FrameBatch, background: str,
-                progress: Progress | None) -> DetectionResult:
-        """Find the trajectories beside one background, without ids."""
+    def _search(self, batch: FrameBatch, background: str, registration: Registration | None,
+                progress: Progress | None) -> tuple[DetectionResult, Registration | None]:
+        """Find the trajectories beside one background, without ids, and the registration."""
         options = self._options.replace(background=background)
-        prepared = prepare(batch, options, psf_of(options).width_px)
+        prepared = prepare(batch, options, psf_of(options).width_px, registration)
         remarks = self._remarks.new(prepared.remarks)
         if not np.isfinite(prepared.frames).any():
-            return DetectionResult([], 0.0, remarks=remarks)
+            return DetectionResult([], 0.0, remarks=remarks), prepared.registration
         middle = prepared.frames[len(batch) // 2]
         self._check_scale(middle)
         earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
         result = self._detector.detect(
-            FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices),
+            FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices, prepared.scene),
             prepared.weights, earlier, progress)
+        if self._observe is not None:
+            self._observe(Searched(batch, prepared, result, self._options, background))
         weighted = prepared.weights is not None
         unit = np.array(prepared.unit) if weighted else prepared.noise_level
         period = self._period(prepared.frames.shape[2])
@@ -186,7 +217,8 @@ class TrackingPipeline:
                      f'not searched: {self._what_to_set(middle)}')
             remarks += self._remarks.new([Remark('not_noise', words)])
         return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
-                               result.best_statistic, rejected=rejected, remarks=remarks)
+                               result.best_statistic, rejected=rejected,
+                               remarks=remarks), prepared.registration
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""

@@ -16,7 +16,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.timestamps import increasing_frames, median_interval, pieces
 from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.joined import JoinedTrajectories
-from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.tracking.pipeline import Observer, TrackingPipeline
 from track_before_detect.tracking.repeated_frames import RepeatedFrames
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, STATUSES, Step
 
@@ -94,7 +94,8 @@ def _batch(held: Iterable[tuple[int, NDArray]], stamps: NDArray[np.float64]) -> 
 
 def detect_recording(recording: FrameSequence, options: DetectorOptions,
                      progress: Progress | None = None,
-                     pipeline: BatchPipeline | None = None) -> DetectionResult:
+                     pipeline: BatchPipeline | None = None,
+                     observe: Observer | None = None) -> DetectionResult:
     """Find all trajectories of a recording.
 
     Parameters
@@ -107,6 +108,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         Called with a label and the share done, 0 to 1.
     pipeline : BatchPipeline, optional
         Searches the batches; that of a single sensor unless given.
+    observe : callable, optional
+        Shown each batch of a single sensor, as :class:`TrackingPipeline` does.
 
     Returns
     -------
@@ -119,7 +122,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     hop = min(options.hop or hop_of(length), length)
     stamps = np.asarray(recording.stamps, float)
     repeated = RepeatedFrames()
-    pipeline = pipeline or TrackingPipeline(options)
+    pipeline = pipeline or TrackingPipeline(options, observe=observe)
     if not pipeline.stamps_may_repeat:
         increasing = increasing_frames(stamps)
         if len(increasing) < min(2, n_frames):
@@ -171,9 +174,12 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         _carry_back(pipeline, [result for _, result in searched])
     for frame_indices, result in searched:
         joined.add(frame_indices, result.trajectories)
+    # Candidates that carry a trajectory on are parts of it.
+    carried = {id(one.positions) for _, result in searched for one in result.trajectories}
     return DetectionResult(joined.trajectories(), threshold, ranks[rank], history, gap,
                            best_statistic, n_searched, remarks,
-                           [one for _, result in searched for one in result.rejected])
+                           [one for _, result in searched for one in result.rejected
+                            if id(one.positions) not in carried])
 
 
 def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult]) -> None:

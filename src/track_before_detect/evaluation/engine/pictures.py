@@ -5,23 +5,14 @@ from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
-from track_before_detect.errors import MissingExtraError
+from track_before_detect.recordings import overlay
 
 BLUE, GREEN, GREY, RED = '#1f77b4', '#2ca02c', '#8c8c8c', '#d62728'
 
 
 def new_figure() -> Any:
     """Return an empty matplotlib figure, or say how to install matplotlib."""
-    try:
-        from matplotlib.backends.backend_agg import FigureCanvasAgg
-        from matplotlib.figure import Figure
-    except ImportError as error:
-        raise MissingExtraError(
-            "the picture of a suite needs matplotlib: pip install 'track_before_detect[plots]'"
-        ) from error
-    figure = Figure(figsize=(11, 4.5), layout='constrained')
-    FigureCanvasAgg(figure)
-    return figure
+    return overlay.new_figure(11, 4.5, 'the picture of a suite')
 
 
 def tidy(panels: Iterable[Any], grid: bool = True) -> None:

@@ -23,13 +23,21 @@ from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
 from track_before_detect.solvers.clutter.path_tail import path_tail, PathTail
+from track_before_detect.solvers.clutter.reasons import (
+    IN_ONE_FRAME,
+    ON_BORDER,
+    reason_against,
+)
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
 from track_before_detect.solvers.search.path_search import FoundPath
 from track_before_detect.types import Progress, Step
 
-# Reason of candidates that may carry on a trajectory of a neighbouring batch.
 BELOW = 'below the threshold'
+# Reasons that say nothing against a candidate that carries on a trajectory of a neighbouring batch.
+MAY_CARRY_ON = (BELOW, ON_BORDER, IN_ONE_FRAME)
+# Reason of the strongest path where no other is a candidate.
+FAR_BELOW = 'far below the threshold'
 # Distance of paths that count as separate, and side of the square that is set aside with each at
 # least, both in widths of the PSF.
 SEPARATION = 5.0
@@ -45,10 +53,6 @@ EXPECTED = 3.0
 PART_OF_TARGET = 3.0
 # Widths of the PSF by which what belongs to a target is grown: its slopes add up over the frames.
 SLOPE = 2.0
-# Distance from the border, in widths of the PSF, within which the scene comes in and goes.
-BORDER = 3.0
-# Frames that a path may owe its statistic to more than in equal shares.
-STRONG_FRAMES = 2
 
 
 class ClutterDetector(PathDetector):
@@ -84,7 +88,6 @@ class ClutterDetector(PathDetector):
             others = self._strongest(task, frames)
             if not others:
                 # Nothing is left of the frames that it could be compared with.
-                paths = []
                 break
             tail = self._tail(others, frames.shape[1:])
             level, least = tail.threshold(rate), tail.threshold(rate, min(float(share), 1.0))
@@ -93,10 +96,13 @@ class ClutterDetector(PathDetector):
                 others.insert(0, path)
                 status = 'converged'
                 break
-            reason = self._reason(task, trajectory)
+            reason = reason_against(trajectory, task.paths.frames,
+                                    self.measurement.width_px, task.scene)
             (rejected if reason else found).append(replace(trajectory, reason=reason))
         rejected += [self._trajectory(task, path, level, BELOW) for path in others
                      if self.scale.statistic(path.value, len(frames)) > least]
+        if not found and not rejected and others:
+            rejected = [self._trajectory(task, others[0], level, FAR_BELOW)]
         strongest = max((path.value for path in others), default=0.0)
         best = self.scale.statistic(strongest, len(frames)) / level
         history = [Step(0.0, float('nan'), len(found), best - 1)]
@@ -142,21 +148,6 @@ class ClutterDetector(PathDetector):
         found = self.trajectory(paths, added, path.value)
         paths.remove(np.array([added]))
         return replace(found, statistic=found.statistic / level, reason=reason)
-
-    def _reason(self, task: Task, trajectory: FoundTrajectory) -> str:
-        """Return why a trajectory above the threshold is no target, or nothing."""
-        height, width = task.paths.frames.shape[1:]
-        last = np.array([width - 1, height - 1])
-        # All of a 1-D sensor is near a border.
-        margin = np.minimum(BORDER * self.measurement.width_px, last / 8)
-        inside = np.minimum(trajectory.positions, last - trajectory.positions) - margin
-        if np.median(inside.min(axis=1)) < 0:
-            return 'on the border of the frames'
-        power = np.nan_to_num(np.abs(trajectory.amplitudes)) ** 2
-        usual = 1 - STRONG_FRAMES / len(power)
-        if trajectory.statistic ** 2 * (1 - power.max() / power.sum()) < usual:
-            return 'in one frame only'
-        return ''
 
 
 def _window(x: float, y: float, reach: float, shape: tuple[int, ...]) -> tuple[slice, slice]:

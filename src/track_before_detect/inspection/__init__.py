@@ -1,0 +1,1 @@
+"""What the detector sees of a recording, in pictures and words."""
