@@ -181,7 +181,7 @@ def test_bad_messages_are_counted_and_named_and_the_node_goes_on(launch, station
 
     n_bad = 0
     for changes, sentence in (
-            ({'encoding': 'yuv422'}, "encoding must be one of .*'yuv422'"),
+            ({'encoding': 'nv12'}, "encoding must be one of .*'nv12'"),
             ({'data': b'\0' * 100}, 'needs 5120 bytes, got 100'),
             ({'height': 0}, 'at least one pixel'),
             ({'step': 3}, 'step .* must be at least 160 bytes, got 3'),
