@@ -85,11 +85,11 @@ def add_parser(commands: Any) -> None:
     parser.add_argument('--config', metavar='FILE',
                         help='YAML file with options, flat or as ROS parameters; --detector and '
                         '--set override it')
-    parser.add_argument('--preset', metavar='NAME', default='auto',
+    parser.add_argument('--preset', metavar='NAME',
                         help='options for a kind of sensor, which --config, --set and --detector '
-                        'override one by one: auto looks at the first frames (default); none, '
-                        'eoir_static, eoir_moving, radar_range_doppler, radar_range_bearing, '
-                        'astronomy')
+                        'override one by one: auto looks at the first frames (default, unless '
+                        'preset is in the file); none, eoir_static, eoir_moving, '
+                        'radar_range_doppler, radar_range_bearing, astronomy')
     add_set_argument(parser, 'set one option; may be repeated')
     parser.add_argument('--topic', metavar='NAME', help='topic of a bag')
     parser.add_argument('--fps', metavar='RATE', type=float,
@@ -109,6 +109,8 @@ def add_parser(commands: Any) -> None:
 def run(arguments: Namespace) -> int:
     """Search the recordings, print what was found and write the files; return the exit code."""
     told = _told_options(arguments)
+    named = told.pop('preset', 'auto')
+    arguments.preset = arguments.preset or named
     check_options(DetectorOptions.from_mapping(told))
     if arguments.fps is not None:
         checked_number('--fps', arguments.fps, above=0)
@@ -164,20 +166,17 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
             raise DataError(
                 f'{recording.name} must hold at least 2 frames to show a motion, got 1')
         # Compiled loops take a second to load; errors of the input need not wait for them.
-        from track_before_detect.tracking.presets import choose_options, FRAMES_SEEN
+        from track_before_detect.tracking.presets import choose_for
         from track_before_detect.tracking.recording import detect_recording
 
-        seen = np.stack([recording[i] for i in range(min(FRAMES_SEEN, len(recording)))])
-        options, reasons = choose_options(arguments.preset, told, seen)
-        check_options(options)
+        options, reasons = choose_for(recording, arguments.preset, told)
         for reason in reasons:
             print(f'preset {arguments.preset}: {reason}', file=sys.stderr)
         with Progress(sys.stderr) as progress:
             try:
-                result = detect_recording(recording, options, progress)
+                result = detect_recording(recording, options, progress, reasons=reasons)
             except DataError as error:
                 raise DataError(f'{recording.name} cannot be searched: {error}') from error
-        result = dataclasses.replace(result, remarks=[*reasons, *result.remarks])
         seconds = time.perf_counter() - started
         summary = _summary(recording, options, result, seconds)
         written = _write_results(output, recording, result, summary, not arguments.no_overlay)
@@ -225,7 +224,7 @@ def _read_config(path: Path) -> dict[str, Any]:
 
 def _options_among_parameters(path: Path, parameters: Mapping[Any, Any]) -> dict[str, Any]:
     """Return the detector's options among the parameters of a node."""
-    optional = {option['name']: option['optional'] for option in describe()}
+    optional = {'preset': False, **{o['name']: o['optional'] for o in describe()}}
     others = [str(name) for name in parameters if name not in optional]
     if others:
         print(f'tbd: note: {path} also holds parameters of the node, not used here: '

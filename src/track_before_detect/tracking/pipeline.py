@@ -101,12 +101,32 @@ class TrackingPipeline:
         float
             The threshold on the statistic.
         """
+        self.compile(progress)
+        return self._detector.threshold(interval_s * np.arange(n_frames), shape, progress)
+
+    def compile(self, progress: Progress | None = None) -> None:
+        """Run every kernel once, on a target bright enough to pass through all stages."""
         if progress is not None:
             progress('compiling', 0.0)
-        self._compile(progress)
+        options = self._options.replace(
+            threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
+            variance=None, mask=None, doppler_ambiguities=0,
+            exposure_s=min(self._options.exposure_s, 1.0))
+        # Where columns go round a wide PSF needs as many.
+        width = max(24, 2 * psf_of(options).half_width + 1)
+        frames = np.random.default_rng(0).standard_normal((8, 24, width)).astype(np.float32)
+        frames[:, 10:13, 10:13] += 8
+        if options.amplitudes == 'complex':
+            frames = frames.astype(np.complex64)
+        batch = FrameBatch.of(frames, np.arange(8.0))
+        detector = detector_for(options)
+        detector.detect(batch)
+        if progress is not None:
+            progress('compiling', 0.5)
+        frames[:, 0, 0] = np.nan
+        detector.detect(batch)
         if progress is not None:
             progress('compiling', 1.0)
-        return self._detector.threshold(interval_s * np.arange(n_frames), shape, progress)
 
     def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of a batch.
@@ -188,26 +208,6 @@ class TrackingPipeline:
                 'the pixels have a median of %.3g and a spread of %.3g, where noise=none takes a '
                 'background of 0 and a noise of 1: set noise=robust, and '
                 'background=temporal_median if the scene shows', middle, spread)
-
-    def _compile(self, progress: Progress | None) -> None:
-        """Run every kernel once, on a target bright enough to pass through all stages."""
-        options = self._options.replace(
-            threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
-            variance=None, mask=None, doppler_ambiguities=0,
-            exposure_s=min(self._options.exposure_s, 1.0))
-        # Where columns go round a wide PSF needs as many.
-        width = max(24, 2 * psf_of(options).half_width + 1)
-        frames = np.random.default_rng(0).standard_normal((8, 24, width)).astype(np.float32)
-        frames[:, 10:13, 10:13] += 8
-        if options.amplitudes == 'complex':
-            frames = frames.astype(np.complex64)
-        batch = FrameBatch.of(frames, np.arange(8.0))
-        detector = detector_for(options)
-        detector.detect(batch)
-        if progress is not None:
-            progress('compiling', 0.5)
-        frames[:, 0, 0] = np.nan
-        detector.detect(batch)
 
 
 def _check(batch: FrameBatch) -> None:

@@ -11,11 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.capabilities import check_options
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.registration import register
 from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
+from track_before_detect.tracking.recording import FrameSequence
 
 AUTO, NONE = 'auto', 'none'
 # Frames that are looked at.
@@ -84,6 +86,9 @@ def choose_options(preset: str, told: Mapping[str, Any], frames: NDArray) -> Cho
         chosen, reasons = PRESETS[preset], []
     if 'batch_length' in told:
         chosen = {name: value for name, value in chosen.items() if name != 'hop'}
+    elif told.get('hop') is not None and 'batch_length' in chosen:
+        hop = DetectorOptions(hop=told['hop']).hop or 1
+        chosen = {**chosen, 'batch_length': max(chosen['batch_length'], hop)}
     unable = told.get('detector', 'convex') != 'convex' or any(
         told.get(name, value) != value for name, value in _CLUTTER_ASKS.items())
     if unable and chosen.get('calibration') == 'clutter':
@@ -99,6 +104,14 @@ _CLUTTER_ASKS = {'presence': 'full', 'amplitude_model': 'fluctuating', 'threshol
                  'motion_model': 'nearly_constant_velocity', 'calibration': 'clutter'}
 _WITHOUT_CLUTTER = {'calibration': 'noise', 'noise': 'robust', 'background': 'temporal_median',
                     'amplitudes': 'non-negative', 'batch_length': 20, 'hop': 10}
+
+
+def choose_for(recording: FrameSequence, preset: str, told: Mapping[str, Any]) -> Choice:
+    """Return the options of a preset for a recording; see :func:`choose_options`."""
+    seen = np.stack([recording[i] for i in range(min(FRAMES_SEEN, len(recording)))])
+    choice = choose_options(preset, told, seen)
+    check_options(choice.options)
+    return choice
 
 
 def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
@@ -130,6 +143,7 @@ def _is_unit_noise(frames: NDArray) -> bool:
         return False
     if coloured_noise_factor(frames, 1.0) > 1:
         return False
-    clipped = np.clip(frames, -3, 3)
-    same = float(np.mean(clipped[1:] * clipped[:-1]))
-    return same * np.sqrt(clipped[1:].size) < UNCORRELATED
+    # By signs, and never below a part of the pixels: bright targets fill that many.
+    signs = np.sign(frames)
+    same = float(np.mean(signs[1:] * signs[:-1])) if len(frames) > 1 else 0.0
+    return same < max(NEAR_UNIT, UNCORRELATED / np.sqrt(signs[1:].size or 1))

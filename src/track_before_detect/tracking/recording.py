@@ -82,7 +82,8 @@ def _batch(held: Iterable[tuple[int, NDArray]], stamps: NDArray[np.float64]) -> 
 
 def detect_recording(recording: FrameSequence, options: DetectorOptions,
                      progress: Progress | None = None,
-                     pipeline: BatchPipeline | None = None) -> DetectionResult:
+                     pipeline: BatchPipeline | None = None,
+                     reasons: Sequence[str] = ()) -> DetectionResult:
     """Find all trajectories of a recording.
 
     Parameters
@@ -95,6 +96,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         Called with a label and the share done, 0 to 1.
     pipeline : BatchPipeline, optional
         Searches the batches; that of a single sensor unless given.
+    reasons : sequence of str
+        Why the options are these, the first remarks of the result.
 
     Returns
     -------
@@ -153,7 +156,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
                        'passed over')
         _LOG.warning('%s', remarks[-1])
     return DetectionResult(joined.trajectories(), threshold, status, history, gap, n_searched,
-                           remarks, [one for result in searched for one in result.rejected])
+                           [*reasons, *remarks],
+                           [one for result in searched for one in result.rejected])
 
 
 def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult],
