@@ -109,7 +109,7 @@ class TrackingPipeline:
         if progress is not None:
             progress('compiling', 0.0)
         options = self._options.replace(
-            threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
+            threshold=None if self._options.calibration == 'clutter' else 8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
             variance=None, mask=None, doppler_ambiguities=0,
             exposure_s=min(self._options.exposure_s, 1.0))
         # Where columns go round a wide PSF needs as many.
