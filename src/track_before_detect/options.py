@@ -68,7 +68,8 @@ class DetectorOptions:
     max_speed_px_s: float | None = declared(
         None, 'Largest speed of a target in the registered image; automatic is one pixel per '
         'median frame interval, with calibration=clutter up to five. The convex detector still '
-        'finds a bright target that is a little faster.', kind='number', unit='px/s', minimum=0.0, optional=True)
+        'finds a bright target that is a little faster.', kind='number', unit='px/s',
+        minimum=0.0, optional=True)
     max_acceleration_px_s2: float | None = declared(
         None, 'Largest acceleration of a target; automatic lets the velocity change by the '
         'maximum speed within 30 median frame intervals (motion_model range_doppler: by one '

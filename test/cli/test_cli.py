@@ -43,7 +43,7 @@ def stand_in(monkeypatch):
     """Replace the detector by one that reports what it was given; return the calls."""
     calls = types.SimpleNamespace(options=None, trajectories=2, error=None)
 
-    def detect_recording(recording, options, progress=None):
+    def detect_recording(recording, options, progress=None, reasons=()):
         calls.options = options
         progress('calibrating', 0.0)
         progress('calibrating', 1.0)
@@ -58,7 +58,7 @@ def stand_in(monkeypatch):
         velocity = np.where(np.isnan(positions), np.nan, (10.0, 0.0))
         found = [Trajectory(k + 1, positions, np.full(n_frames, 3.0), velocity, recording.stamps,
                             np.arange(n_frames), 12.345, 3.2) for k in range(calls.trajectories)]
-        return DetectionResult(found, 8.5, gap=float('nan'))
+        return DetectionResult(found, 8.5, gap=float('nan'), remarks=list(reasons))
 
     module = types.ModuleType('track_before_detect.tracking.recording')
     module.detect_recording = detect_recording
@@ -111,7 +111,8 @@ def test_detect_says_and_writes_which_frame_is_left_out(tmp_path, caplog):
     np.savez(tmp_path / 'a.npz', frames=frames, stamps=[0, 1, 2, 0, 4, 5])
     run('detect', tmp_path / 'a.npz', '--output', tmp_path / 'out', '--set', 'threshold=9')
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
-    [remark] = summary['remarks']
+    looked, remark = summary['remarks']
+    assert 'white noise of deviation 1' in looked
     assert 'frame 3 is left out' in remark and remark in caplog.text
     assert summary['median_interval_s'] == 1
 
@@ -129,7 +130,8 @@ def test_detect_writes_all_files_and_prints_a_table(recording_file, stand_in, tm
     assert summary['options'] == json.loads(json.dumps(dataclasses.asdict(stand_in.options)))
     assert (summary['threshold'], summary['status'], summary['gap']) == (8.5, 'converged', None)
     assert (summary['n_frames'], summary['n_trajectories']) == (6, 2)
-    assert summary['remarks'] == []
+    assert summary['remarks'] == [
+        'the frames are white noise of deviation 1: taken as they are']
 
 
 def npz(path, n_frames=6, **arrays):
@@ -254,6 +256,22 @@ def test_parameter_file_of_the_node_can_be_used(recording_file, stand_in, tmp_pa
     assert stand_in.options.detector == 'convex'
 
 
+@pytest.mark.parametrize(('arguments', 'noise', 'psf_sigma_px'), [
+    ([], 'local', 2.0), (['--preset', 'none'], 'local', 2.0),
+    (['--set', 'noise=robust'], 'robust', 2.0)], ids=['file', 'none', 'set'])
+def test_file_of_a_preset_is_used_and_what_is_told_wins(
+        recording_file, stand_in, tmp_path, capsys, arguments, noise, psf_sigma_px):
+    text = (CONFIG.parent / 'eoir_static.yaml').read_text()
+    config = tmp_path / 'mine.yaml'
+    config.write_text(text.replace('psf_sigma_px: 1.5', 'psf_sigma_px: 2.0'))
+    assert run('detect', recording_file, '--output', tmp_path / 'out', '--config', config,
+               *arguments) == 0
+    options = stand_in.options
+    assert (options.noise, options.psf_sigma_px) == (noise, psf_sigma_px)
+    assert (options.background, options.registration) == ('either', 'none')
+    assert 'not used here' not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ('arguments', 'fragments'),
     [(['--set', 'psf_sigma=2'], ["unknown option 'psf_sigma'", 'did you mean psf_sigma_px']),
@@ -352,7 +370,7 @@ def test_missing_extra_is_named_before_the_work(recording_file, stand_in, monkey
 
 def test_progress_is_one_line_per_task_without_a_terminal(
         recording_file, stand_in, tmp_path, capsys):
-    run('detect', recording_file, '--output', tmp_path / 'out')
+    run('detect', recording_file, '--output', tmp_path / 'out', '--preset', 'none')
     assert capsys.readouterr().err.splitlines() == ['tbd: calibrating', 'tbd: searching']
 
 

@@ -109,9 +109,9 @@ class TrackingPipeline:
         if progress is not None:
             progress('compiling', 0.0)
         options = self._options.replace(
-            threshold=None if self._options.calibration == 'clutter' else 8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
-            variance=None, mask=None, doppler_ambiguities=0,
-            exposure_s=min(self._options.exposure_s, 1.0))
+            threshold=None if self._options.calibration == 'clutter' else 8.0,
+            psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None, variance=None,
+            mask=None, doppler_ambiguities=0, exposure_s=min(self._options.exposure_s, 1.0))
         # Where columns go round a wide PSF needs as many.
         width = max(24, 2 * psf_of(options).half_width + 1)
         frames = np.random.default_rng(0).standard_normal((8, 24, width)).astype(np.float32)

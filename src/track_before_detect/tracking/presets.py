@@ -6,7 +6,7 @@ What the user tells always wins, option by option.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,9 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.registration import register
 from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
-from track_before_detect.tracking.recording import FrameSequence
+
+if TYPE_CHECKING:
+    from track_before_detect.tracking.recording import FrameSequence
 
 AUTO, NONE = 'auto', 'none'
 # Frames that are looked at.
