@@ -263,7 +263,10 @@ class StreamWorker:
     def _chosen(self, request: StreamRequest, frames: NDArray) -> Choice | None:
         """Return what is taken for frames, None if that cannot be searched."""
         try:
-            return request.chosen(frames)
+            choice = request.chosen(frames)
+            # Raises for what the detector in use cannot honour.
+            self._make_pipeline(choice.options, None)
+            return choice
         except Exception as error:
             self._failed('choosing options failed', error)
             self._set_state('failed', f'choosing options failed: {error}')
