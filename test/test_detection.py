@@ -213,3 +213,23 @@ def test_noise_yields_no_more_than_the_requested_false_alarms(calibrate_on):
     alarms = sum(bool(tbd.detect(generator.standard_normal((20, 128, 128))).trajectories)
                  for _ in range(40))
     assert alarms <= 8
+
+
+def test_a_preset_holds_where_nothing_is_told_and_says_why():
+    scene = 900 + 100 * np.add.outer(np.sin(np.arange(24)), np.cos(np.arange(32)))
+    frames = scene + np.random.default_rng(0).standard_normal((6, 24, 32))
+    result = tbd.detect(frames, preset='auto', threshold=1e3)
+    assert 'the frames show a scene' in result.remarks[0]
+    assert not result.trajectories
+    assert not tbd.detect(FRAMES, threshold=8).remarks
+    with pytest.raises(tbd.ParameterError, match="unknown preset 'eoir'"):
+        tbd.detect(FRAMES, preset='eoir', threshold=8)
+
+
+def test_frames_of_unit_noise_are_searched_alike_with_and_without_a_look():
+    frames = np.random.default_rng(1).standard_normal((8, 24, 32))
+    frames[:, 11:13, 15:17] += 6
+    plain, looked = (tbd.detect(frames, preset=preset, threshold=8) for preset in ('none', 'auto'))
+    assert len(plain.trajectories) == len(looked.trajectories) == 1
+    np.testing.assert_array_equal(
+        plain.trajectories[0].positions, looked.trajectories[0].positions)

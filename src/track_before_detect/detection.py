@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.checks import check_axes, checked_frames, checked_stamps
 from track_before_detect.options import DetectorOptions
+from track_before_detect.tracking.presets import choose_for, NONE
 from track_before_detect.tracking.recording import detect_recording
 from track_before_detect.tracking.sensor_pipeline import SensorPipeline
 from track_before_detect.tracking.sensors import Sensor, SensorArray
@@ -31,7 +32,7 @@ class _ArrayRecording:
 
 
 def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = 'convex', *,
-           progress: Progress | None = None,
+           preset: str = NONE, progress: Progress | None = None,
            **options: Any) -> DetectionResult:
     """Find the trajectories of moving targets in a sequence of frames.
 
@@ -44,6 +45,9 @@ def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = '
         Seconds, strictly increasing; 1 s apart unless given.
     detector : str
         Method.
+    preset : str
+        Where the options come from that are not given: ``'none'`` takes the defaults, ``'auto'``
+        looks at the first frames, others are for a kind of sensor, as in ``tbd detect``.
     progress : callable, optional
         Called with a label and the share done, 0 to 1, during long work.
     **options
@@ -52,7 +56,8 @@ def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = '
     Returns
     -------
     DetectionResult
-        ``trajectories``, ``threshold``, ``status``, ``history``, ``gap``.
+        ``trajectories``, ``threshold``, ``status``, ``history``, ``gap``, and ``remarks``, of
+        which the first say why ``preset='auto'`` took its options.
 
     Raises
     ------
@@ -70,11 +75,12 @@ def detect(frames: ArrayLike, stamps: ArrayLike | None = None, detector: str = '
     >>> [t.positions[0].round().tolist() for t in tbd.detect(frames, threshold=8).trajectories]
     [[16.0, 16.0]]
     """
-    settings = DetectorOptions.from_mapping({'detector': detector, **options})
     array = checked_frames(frames)
     check_axes(array.shape, 'frames')
     times = checked_stamps(np.arange(len(array)) if stamps is None else stamps, len(array))
-    return detect_recording(_ArrayRecording(array, times), settings, progress)
+    recording = _ArrayRecording(array, times)
+    settings, reasons = choose_for(recording, preset, {'detector': detector, **options})
+    return detect_recording(recording, settings, progress, reasons=reasons)
 
 
 def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,

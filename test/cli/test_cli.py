@@ -45,7 +45,7 @@ def stand_in(monkeypatch):
     """Replace the detector by one that reports what it was given; return the calls."""
     calls = types.SimpleNamespace(options=None, trajectories=2, error=None, rejected=())
 
-    def detect_recording(recording, options, progress=None):
+    def detect_recording(recording, options, progress=None, reasons=()):
         calls.options = options
         progress('calibrating', 0.0)
         progress('calibrating', 1.0)
@@ -63,7 +63,8 @@ def stand_in(monkeypatch):
         found = [dataclasses.replace(found_as, id=k + 1) for k in range(calls.trajectories)]
         rejected = [dataclasses.replace(found_as, id=0, statistic=statistic, reason=reason)
                     for statistic, reason in calls.rejected]
-        return DetectionResult(found, 8.5, gap=float('nan'), rejected=rejected)
+        return DetectionResult(found, 8.5, gap=float('nan'), remarks=list(reasons),
+                               rejected=rejected)
 
     module = types.ModuleType('track_before_detect.tracking.recording')
     module.detect_recording = detect_recording
@@ -117,7 +118,8 @@ def test_detect_says_and_writes_which_frame_is_left_out(tmp_path, caplog):
     run('detect', tmp_path / 'a.npz', '--output', tmp_path / 'out', '--set', 'threshold=9',
         '--preset', 'none')
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
-    [remark] = summary['remarks']
+    looked, remark = summary['remarks']
+    assert 'white noise of deviation 1' in looked
     assert 'frame 3 is left out' in remark and remark in caplog.text
     assert summary['median_interval_s'] == 1
 
@@ -135,7 +137,8 @@ def test_detect_writes_all_files_and_prints_a_table(recording_file, stand_in, tm
     assert summary['options'] == json.loads(json.dumps(dataclasses.asdict(stand_in.options)))
     assert (summary['threshold'], summary['status'], summary['gap']) == (8.5, 'converged', None)
     assert (summary['n_frames'], summary['n_trajectories']) == (6, 2)
-    assert summary['remarks'] == []
+    assert summary['remarks'] == [
+        'the frames are white noise of deviation 1: taken as they are']
 
 
 def npz(path, n_frames=6, **arrays):
@@ -295,6 +298,22 @@ def test_file_of_ros_parameters_is_read(recording_file, stand_in, tmp_path, caps
 def test_parameter_file_of_the_node_can_be_used(recording_file, stand_in, tmp_path):
     assert run('detect', recording_file, '--output', tmp_path / 'out', '--config', CONFIG) == 0
     assert stand_in.options.detector == 'convex'
+
+
+@pytest.mark.parametrize(('arguments', 'noise', 'psf_sigma_px'), [
+    ([], 'local', 2.0), (['--preset', 'none'], 'local', 2.0),
+    (['--set', 'noise=robust'], 'robust', 2.0)], ids=['file', 'none', 'set'])
+def test_file_of_a_preset_is_used_and_what_is_told_wins(
+        recording_file, stand_in, tmp_path, capsys, arguments, noise, psf_sigma_px):
+    text = (CONFIG.parent / 'eoir_static.yaml').read_text()
+    config = tmp_path / 'mine.yaml'
+    config.write_text(text.replace('psf_sigma_px: 1.5', 'psf_sigma_px: 2.0'))
+    assert run('detect', recording_file, '--output', tmp_path / 'out', '--config', config,
+               *arguments) == 0
+    options = stand_in.options
+    assert (options.noise, options.psf_sigma_px) == (noise, psf_sigma_px)
+    assert (options.background, options.registration) == ('either', 'none')
+    assert 'not used here' not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -12,8 +12,14 @@ from track_before_detect.recordings.encodings import (
     multiarray_to_frame,
 )
 
-GREY = {'mono8': 'u1', '8UC1': 'u1', 'mono16': 'u2', '16UC1': 'u2', '32FC1': 'f4', '64FC1': 'f8'}
-COLOUR = {'rgb8': (0, 1, 2), 'bgr8': (2, 1, 0), 'rgba8': (0, 1, 2), 'bgra8': (2, 1, 0)}
+GREY = {'mono8': 'u1', '8UC1': 'u1', 'mono16': 'u2', '16UC1': 'u2', '16SC1': 'i2', '32FC1': 'f4',
+        '64FC1': 'f8'}
+COLOUR = {'rgb8': (0, 1, 2), 'bgr8': (2, 1, 0), '8UC3': (2, 1, 0), 'rgba8': (0, 1, 2),
+          'bgra8': (2, 1, 0)}
+# Which byte of a pixel is its luma.
+LUMA = {'yuv422_yuy2': 0, 'yuyv': 0, 'yuv422': 1, 'uyvy': 1}
+# The colours of the first two rows.
+MOSAICS = {'bayer_rggb': 'RGGB', 'bayer_bggr': 'BGGR', 'bayer_gbrg': 'GBRG', 'bayer_grbg': 'GRBG'}
 SHAPES = st.tuples(st.integers(1, 7), st.integers(1, 9))
 
 
@@ -55,6 +61,33 @@ def test_channels_are_weighted_in_their_order(encoding):
     np.testing.assert_allclose(frame[0], [59.8, 117.4, 22.8], rtol=1e-6)
 
 
+@given(st.sampled_from(sorted(LUMA)), SHAPES, st.integers(0, 5), st.data())
+def test_the_luma_of_colour_shared_by_pixels_is_read_as_mono8(encoding, shape, padding, data):
+    luma = data.draw(hnp.arrays(np.uint8, shape))
+    pixels = data.draw(hnp.arrays(np.uint8, (*shape, 2)))
+    pixels[..., LUMA[encoding]] = luma
+    raw, step = padded_rows(pixels, padding)
+    frame = decode_image(raw, encoding, *shape, step, False)
+    assert frame.dtype == np.uint8
+    np.testing.assert_array_equal(frame, luma)
+
+
+@pytest.mark.parametrize('encoding', sorted(MOSAICS))
+@pytest.mark.parametrize('item', ['u1', '<u2', '>u2'])
+def test_a_mosaic_of_filters_does_not_show_and_nothing_is_shifted(encoding, item):
+    item = np.dtype(item)
+    filters = np.tile(np.reshape(list(MOSAICS[encoding]), (2, 2)), (4, 5))
+    colour = {'R': 40, 'G': 100, 'B': 220}
+    slope = np.arange(10)
+    pixels = (np.vectorize(colour.get)(filters) + slope).astype(item)
+    frame = decode_image(pixels.tobytes(), f'{encoding}{8 * item.itemsize}', 8, 10,
+                         pixels[0].nbytes, item.str[0] == '>')
+    assert frame.dtype == np.float32
+    # A quarter red, half green, a quarter blue, where the picture is smooth; mirrored at its ends.
+    np.testing.assert_allclose(frame[:, 1:-1], np.tile(115 + slope[1:-1], (8, 1)))
+    np.testing.assert_allclose(frame[:, [0, -1]], np.tile([115.5, 123.5], (8, 1)))
+
+
 def test_last_row_may_lack_its_padding():
     raw = bytes([1, 2, 0, 3, 4])
     np.testing.assert_array_equal(decode_image(raw, 'mono8', 2, 2, 3, False), [[1, 2], [3, 4]])
@@ -69,7 +102,7 @@ def test_frame_does_not_share_memory_with_the_message():
 
 @pytest.mark.parametrize(
     ('arguments', 'message'),
-    [((b'abcd', 'yuv422', 2, 2, 2, 0), "must be one of .*'yuv422'"),
+    [((b'abcd', 'nv12', 2, 2, 2, 0), "must be one of .*'nv12'"),
      ((b'abc', 'mono8', 2, 2, 2, 0), 'needs 4 bytes, got 3'),
      ((b'abcd', 'mono16', 1, 2, 3, 0), 'at least 4 bytes, got 3'),
      ((b'', 'mono8', 0, 5, 5, 0), 'at least one pixel')],
@@ -80,7 +113,8 @@ def test_bad_image_is_refused_in_one_sentence(arguments, message):
 
 
 def test_every_encoding_is_listed():
-    assert set(ENCODINGS) == set(GREY) | set(COLOUR) | {'32FC2'}
+    assert set(ENCODINGS) == set(GREY) | set(COLOUR) | set(LUMA) | {'32FC2'} | {
+        f'{mosaic}{bits}' for mosaic in MOSAICS for bits in (8, 16)}
 
 
 @pytest.mark.parametrize('big', [False, True])

@@ -122,7 +122,7 @@ def test_topic_is_chosen_by_name_or_because_it_is_the_only_one(tmp_path):
 
 @pytest.mark.parametrize(
     ('messages', 'message'),
-    [([(1, image(FRAMES[0], 1, encoding='yuv422'))], "message 0 .*'yuv422'"),
+    [([(1, image(FRAMES[0], 1, encoding='nv12'))], "message 0 .*'nv12'"),
      ([(1, image(FRAMES[0], 1)), (2, image(FRAMES[1].T.copy(), 2))], 'must be like the first'),
      ([], 'found: none')],
     ids=['encoding', 'size change', 'no messages'])

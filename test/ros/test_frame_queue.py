@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from track_before_detect.options import DetectorOptions
-from track_before_detect.ros.frame_queue import FrameQueue, StreamSettings
+from track_before_detect.errors import ParameterError
+from track_before_detect.ros.frame_queue import FrameQueue, StreamRequest
 
 PIXELS = np.zeros((2, 3))
-CHANGES = (DetectorOptions(), StreamSettings(4, 4, None, 100, None))
+REQUEST = StreamRequest('none', {'batch_length': 4})
 
 
 def test_the_oldest_frames_are_dropped_and_counted():
@@ -21,12 +21,12 @@ def test_changes_overtake_frames_and_a_flush_comes_after_them():
     queue = FrameQueue(3)
     queue.flush()
     queue.put(PIXELS, 0.0, 'header')
-    queue.configure(*CHANGES)
-    assert queue.take(0).changes == CHANGES
+    queue.configure(REQUEST)
+    assert queue.take(0).request is REQUEST
     assert queue.take(0).frame.tag == 'header'
     assert queue.take(0).flush
     nothing = queue.take(0)
-    assert nothing.changes is None and nothing.frame is None and not nothing.flush
+    assert nothing.request is None and nothing.frame is None and not nothing.flush
 
 
 @pytest.mark.parametrize('waiting', [0, 2])
@@ -36,3 +36,35 @@ def test_a_closed_queue_has_no_more_work(waiting):
         queue.put(PIXELS, float(k), k)
     queue.close()
     assert queue.take(None) is None
+
+
+@pytest.mark.parametrize(('preset', 'told', 'batch_length', 'hop', 'queue_length'), [
+    ('none', {}, 20, 10, 40), ('auto', {}, 20, 10, 40), ('none', {'batch_length': 7}, 7, 3, 14),
+    ('eoir_static', {}, 10, 5, 20), ('eoir_static', {'hop': 2}, 10, 2, 20),
+    ('eoir_static', {'batch_length': 8}, 8, 4, 16), ('eoir_static', {'hop': 15}, 15, 15, 30),
+])
+def test_what_was_told_of_the_batches_wins_and_the_rest_follows(
+        preset, told, batch_length, hop, queue_length):
+    request = StreamRequest(preset, told)
+    settings = request.settings(request.unseen.options)
+    assert (settings.batch_length, settings.hop, settings.queue_length) == (
+        batch_length, hop, queue_length)
+
+
+def test_a_preset_is_chosen_by_frames_where_asked_for_and_what_was_told_stays():
+    scene = 1000 + 50 * np.random.default_rng(0).standard_normal((6, 24, 32))
+    request = StreamRequest('auto', {'noise': 'robust', 'batch_length': 12})
+    assert request.looks and request.unseen.options.background == 'none'
+    options, reasons = request.chosen(scene)
+    assert options.background != 'none' and reasons
+    assert (options.noise, options.batch_length, options.hop) == ('robust', 12, 6)
+    assert request.window(None).length == request.window(options).length == 12
+    named = StreamRequest('none', {'batch_length': 50})
+    assert not named.looks and named.chosen(scene) is named.unseen
+    assert (named.window(None).length, named.window(named.unseen.options).length) == (20, 50)
+
+
+def test_a_hop_beyond_the_batch_is_refused():
+    for preset in ('none', 'auto'):
+        with pytest.raises(ParameterError, match=r'at most batch_length \(20\), got 30'):
+            StreamRequest(preset, {'hop': 30}).window(None)

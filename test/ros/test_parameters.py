@@ -1,6 +1,7 @@
 import ast
 import importlib.util
 from pathlib import Path
+import re
 
 import pytest
 
@@ -10,35 +11,55 @@ import yaml  # noqa: E402
 
 from track_before_detect.errors import ParameterError  # noqa: E402
 from track_before_detect.options import describe, DetectorOptions  # noqa: E402
-from track_before_detect.ros import detector_node, parameter_files  # noqa: E402
+from track_before_detect.ros import (  # noqa: E402
+    detector_node,
+    frame_publisher_node,
+    parameter_files,
+)
 from track_before_detect.ros.parameters import (  # noqa: E402
     NodeParameter,
     option_parameters,
-    options_from_parameters,
+    option_values,
 )
+from track_before_detect.tracking.presets import PRESETS  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.parametrize('name', parameter_files.FILES)
+NODES = {'detector.param.yaml': detector_node.PARAMETERS,
+         'frame_publisher.param.yaml': frame_publisher_node.PARAMETERS}
+
+
+def parameters_in(text):
+    return yaml.safe_load(text)['/**']['ros__parameters']
+
+
+@pytest.mark.parametrize('name', NODES)
 def test_parameter_files_list_exactly_the_parameters_with_their_defaults(name):
-    _, parameters = parameter_files.FILES[name]
-    read = yaml.safe_load((ROOT / 'config' / name).read_text())
-    assert read == {'/**': {'ros__parameters': {
-        parameter.name: parameter.default for parameter in parameters}}}
+    text = (ROOT / 'config' / name).read_text()
+    # An option that is given would keep its default where the preset chooses another value.
+    assert parameters_in(text) == {
+        parameter.name: parameter.default for parameter in NODES[name] if not parameter.is_option}
+    assert parameters_in(re.sub(r'(?m)^    #(?=\w)', '    ', text)) == {
+        parameter.name: parameter.default for parameter in NODES[name]}
 
 
 @pytest.mark.parametrize('name', parameter_files.FILES)
 def test_parameter_files_say_what_the_descriptors_say(name):
     # python -m track_before_detect.ros.parameter_files config writes them anew.
-    assert (ROOT / 'config' / name).read_text() == parameter_files.parameter_file(
-        *parameter_files.FILES[name])
+    assert (ROOT / 'config' / name).read_text() == parameter_files.FILES[name]
+
+
+@pytest.mark.parametrize('preset', sorted(set(PRESETS) - {'none'}))
+def test_every_preset_has_a_file_with_its_options(preset):
+    text = (ROOT / 'config' / f'{preset}.yaml').read_text()
+    assert parameters_in(text) == {'preset': preset, **PRESETS[preset]}
 
 
 def test_defaults_of_the_parameters_are_the_defaults_of_the_options():
     parameters = option_parameters({})
     values = {parameter.name: parameter.default for parameter in parameters}
-    assert options_from_parameters(parameters, values) == DetectorOptions()
+    assert DetectorOptions.from_mapping(option_values(parameters, values)) == DetectorOptions()
 
 
 def test_every_option_is_a_live_parameter_with_its_unit_range_and_description():
@@ -56,7 +77,7 @@ def test_every_option_is_a_live_parameter_with_its_unit_range_and_description():
 
 
 def test_every_default_lies_in_the_range_of_its_descriptor():
-    for _, parameters in parameter_files.FILES.values():
+    for parameters in NODES.values():
         for parameter in parameters:
             assert parameter.check(parameter.default) == parameter.default
             descriptor = parameter.descriptor()

@@ -6,20 +6,21 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.options import DetectorOptions
-from track_before_detect.ros.frame_queue import StreamSettings
+from track_before_detect.ros.frame_queue import StreamRequest
 from track_before_detect.ros.worker import StreamWorker
 from track_before_detect.types import DetectionResult
 
 TIMEOUT_S = 60.0
-SETTINGS = StreamSettings(batch_length=4, hop=4, max_gap_s=None, queue_length=100,
-                                 flush_after_s=None)
+PLAIN = {'batch_length': 4, 'hop': 4}
 
 
 class Pipeline:
     """Finds nothing, and takes no frames that are a second or more apart."""
 
     def __init__(self, options, earlier):
+        self.options = options
+
+    def compile(self, progress):
         pass
 
     def warm_up(self, shape, interval_s, n_frames, progress):
@@ -35,26 +36,41 @@ class Pipeline:
 
 
 @pytest.fixture
-def stream():
-    warnings = []
-    started = StreamWorker(
-        DetectorOptions(batch_length=4), SETTINGS, on_result=lambda result: None,
-        on_reset=lambda: None, on_state=lambda: None,
-        on_warning=lambda kind, text: warnings.append(text), make_pipeline=Pipeline)
-    started.warnings = warnings
-    started.start()
-    yield started
-    assert started.stop(TIMEOUT_S)
+def start():
+    """Start workers, and end them with the test."""
+    workers = []
+
+    def start_worker(preset, told):
+        warnings, results, choices = [], [], []
+        started = StreamWorker(
+            StreamRequest(preset, told, queue_length=100), on_result=results.append,
+            on_reset=lambda: None, on_state=lambda: None,
+            on_choice=lambda: choices.append(started.status.reasons),
+            on_warning=lambda kind, text: warnings.append(text), make_pipeline=Pipeline)
+        started.warnings, started.results, started.choices = warnings, results, choices
+        workers.append(started)
+        started.start()
+        return started
+
+    yield start_worker
+    for worker in workers:
+        assert worker.stop(TIMEOUT_S)
 
 
-def feed(stream, stamps, shape=(3, 5)):
-    """Hand frames over, and wait until they were taken."""
+@pytest.fixture
+def stream(start):
+    return start('none', PLAIN)
+
+
+def feed(stream, stamps, shape=(3, 5), make=np.zeros):
+    """Hand frames over, and wait until all are used or refused."""
     for stamp in stamps:
-        stream.queue.put(np.zeros(shape, np.float32), stamp, None)
+        stream.queue.put(make(shape).astype(np.float32), stamp, None)
+    counters = stream.queue.counters
     end_s = time.monotonic() + TIMEOUT_S
-    while stream.queue.counters.used < stream.queue.counters.received and time.monotonic() < end_s:
+    while counters.used + counters.refused < counters.received and time.monotonic() < end_s:
         time.sleep(0.005)
-    assert stream.queue.counters.used == stream.queue.counters.received
+    assert counters.used + counters.refused == counters.received
 
 
 def wait_for_batches(stream, n_batches):
@@ -87,3 +103,109 @@ def test_the_size_shown_is_that_of_the_frames_searched(stream):
     feed(stream, 200.0 + 0.25 * np.arange(4))
     wait_for_batches(stream, 2)
     assert stream.status.shape == (3, 5)
+
+
+def test_frames_whose_stamp_is_not_filled_in_are_left_out(stream):
+    stamps = 1.7e9 + 0.1 * np.arange(41)
+    stamps[5::10] = 0.0
+    feed(stream, stamps)
+    wait_for_batches(stream, 9)
+    counters = stream.queue.counters
+    assert (counters.refused, counters.used, counters.restarts) == (4, 37, 0)
+    assert 'stamped 0.000000 s' in stream.warnings[0]
+
+
+def test_both_frames_that_show_a_loop_are_used(stream):
+    feed(stream, 0.25 * np.arange(8))
+    feed(stream, 0.25 * np.arange(8))
+    wait_for_batches(stream, 4)
+    assert stream.queue.counters.restarts == 1
+    assert [r.batch.frame_indices.tolist() for r in stream.results[2:]] == [
+        [8, 9, 10, 11], [12, 13, 14, 15]]
+
+
+def scene(shape):
+    """Return a picture that stands still, and noise that does not."""
+    ramp = np.add.outer(np.sin(np.arange(shape[0])), np.cos(np.arange(shape[1])))
+    return 1000 + 200 * ramp + RNG.standard_normal(shape)
+
+
+RNG = np.random.default_rng(3)
+
+
+def test_a_scene_is_looked_at_and_its_frames_are_searched_in_the_batches_chosen(start):
+    stream = start('auto', {})
+    feed(stream, 0.1 * np.arange(19), (24, 32), scene)
+    assert stream.status.state == 'looking at the first frames'
+    assert stream.status.detail == '19 of 20'
+    assert not stream.queue.counters.batches
+    feed(stream, 0.1 * np.arange(19, 25), (24, 32), scene)
+    wait_for_batches(stream, 4)
+    assert stream.status.options.background != 'none'
+    assert stream.status.options.batch_length == 10
+    assert stream.status.state == 'ready' and stream.status.preset == 'auto'
+    assert [r.batch.frame_indices[0] for r in stream.results] == [0, 5, 10, 15]
+    assert {(len(r.batch), r.hop) for r in stream.results} == {(10, 5)}
+    assert stream.choices == [stream.status.reasons] and stream.choices[0]
+
+
+def test_what_was_told_wins_over_what_is_chosen(start):
+    stream = start('auto', {'noise': 'robust', **PLAIN})
+    feed(stream, 0.1 * np.arange(8), (24, 32), scene)
+    wait_for_batches(stream, 2)
+    options = stream.status.options
+    assert options.background != 'none'
+    assert (options.noise, options.batch_length, options.hop) == ('robust', 4, 4)
+
+
+def test_frames_of_unit_noise_come_out_as_without_a_preset(start):
+    results = []
+    for preset in ('none', 'auto'):
+        generator = np.random.default_rng(5)
+        stream = start(preset, {})
+        feed(stream, 0.1 * np.arange(45), (24, 32), generator.standard_normal)
+        wait_for_batches(stream, 3)
+        results.append(([r.batch.frame_indices.tolist() for r in stream.results],
+                        stream.status.options, stream.queue.counters))
+    assert results[0] == results[1]
+
+
+def test_a_pause_or_another_size_is_looked_at_again_and_a_loop_is_not(start):
+    stream = start('auto', {'batch_length': 8, 'hop': 8})
+    feed(stream, 0.1 * np.arange(8), (24, 32), RNG.standard_normal)
+    wait_for_batches(stream, 1)
+    assert stream.status.options.background == 'none'
+    feed(stream, 1000 + 0.1 * np.arange(8), (24, 32), scene)
+    wait_for_batches(stream, 2)
+    assert stream.status.options.background != 'none'
+    feed(stream, 0.1 * np.arange(8), (24, 32), RNG.standard_normal)
+    wait_for_batches(stream, 3)
+    assert stream.status.options.background != 'none'
+    feed(stream, 1 + 0.1 * np.arange(8), (24, 40), RNG.standard_normal)
+    wait_for_batches(stream, 4)
+    assert stream.status.options.background == 'none'
+    assert len(stream.choices) == 3
+    assert [len(r.batch) for r in stream.results] == [8, 8, 8, 8]
+
+
+def test_the_first_frames_of_a_short_stream_are_searched_when_asked_for(start):
+    stream = start('auto', {})
+    feed(stream, 0.1 * np.arange(13), (24, 32), scene)
+    stream.queue.flush()
+    wait_for_batches(stream, 2)
+    assert [r.batch.frame_indices[-1] for r in stream.results] == [9, 12]
+
+
+def test_a_preset_that_is_changed_holds_from_the_next_batch_on(start):
+    stream = start('auto', {})
+    feed(stream, 0.1 * np.arange(20), (24, 32), scene)
+    wait_for_batches(stream, 3)
+    stream.queue.configure(StreamRequest('none', PLAIN, queue_length=100))
+    feed(stream, 2 + 0.1 * np.arange(4), (24, 32), scene)
+    wait_for_batches(stream, 4)
+    assert stream.status.options.background == 'none' and len(stream.results[-1].batch) == 4
+    # The first frames are known by now.
+    stream.queue.configure(StreamRequest('auto', PLAIN, queue_length=100))
+    feed(stream, 2.4 + 0.1 * np.arange(4), (24, 32), scene)
+    wait_for_batches(stream, 5)
+    assert stream.status.options.background != 'none' and len(stream.results[-1].batch) == 4

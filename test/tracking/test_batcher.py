@@ -79,23 +79,43 @@ def test_a_repeated_or_slightly_backward_stamp_is_refused_with_a_reason(stamp):
 def test_a_looped_recording_gives_its_tail_and_starts_again():
     window = SlidingWindow(4, 4)
     first = batches_of(feed(window, [10.0, 11.0, 12.0, 13.0, 14.0]))
-    intake = window.add(frame(5), 10.0, 5)
+    assert window.add(frame(5), 10.0, 5).outcome is Outcome.WAITING
+    intake = window.add(frame(6), 11.0, 6)
     assert len(first) == 1
     assert intake.outcome is Outcome.JUMP_BACK
-    assert 'jump back' in intake.reason
+    assert 'jump back' in intake.reason and not intake.left_out
     np.testing.assert_array_equal(intake.batch.stamps, [11.0, 12.0, 13.0, 14.0])
-    assert len(window) == 1
-    again = batches_of(feed(window, [11.0, 12.0, 13.0], first_index=6))
+    assert len(window) == 2
+    again = batches_of(feed(window, [12.0, 13.0], first_index=7))
     np.testing.assert_array_equal(again[0].frame_indices, [5, 6, 7, 8])
 
 
 def test_a_recording_shorter_than_the_window_that_loops_starts_again():
     window = SlidingWindow(20, 10)
     feed(window, [0.0, 1.0, 2.0])
-    intake = window.add(frame(3), 0.0, 3)
+    window.add(frame(3), 0.0, 3)
+    intake = window.add(frame(4), 1.0, 4)
     assert intake.outcome is Outcome.JUMP_BACK
     # Only a full window is worth searching while frames go on arriving.
     assert intake.batch is None
+
+
+@pytest.mark.parametrize('first_s', [1.7e9, 100.0], ids=['clock', 'simulated'])
+@pytest.mark.parametrize('offset', range(1, 10))
+def test_single_stamps_of_zero_are_left_out_and_named(first_s, offset):
+    stamps = first_s + 0.1 * np.arange(60)
+    stamps[offset::10] = 0.0
+    window = SlidingWindow(9, 9)
+    answers = feed(window, stamps)
+    # What follows the last one tells that it alone is wrong.
+    answers.append(window.add(frame(60), first_s + 6.0, 60))
+    assert {answer.outcome for answer in answers} == {Outcome.ACCEPTED, Outcome.WAITING}
+    assert sum('stamped 0.0' in answer.left_out for answer in answers) == 6
+    batches = batches_of(answers)
+    assert len(batches) == 6
+    good = np.delete(np.arange(60), np.arange(offset, 60, 10))
+    np.testing.assert_array_equal(
+        np.concatenate([batch.frame_indices for batch in batches]), good)
 
 
 def test_a_change_of_size_starts_the_window_again():
@@ -146,8 +166,8 @@ def test_the_longest_gap_can_be_given():
 
 
 def test_a_window_of_one_frame_releases_each_frame():
-    batches = batches_of(feed(SlidingWindow(1, 1), [0.0, 1.0, 0.5]))
-    assert [batch.stamps.tolist() for batch in batches] == [[0.0], [1.0], [0.5]]
+    batches = batches_of(feed(SlidingWindow(1, 1), [0.0, 1.0, 2.5]))
+    assert [batch.stamps.tolist() for batch in batches] == [[0.0], [1.0], [2.5]]
 
 
 @pytest.mark.parametrize(('length', 'hop', 'gap'), [(0, 1, None), (4, 0, None), (4, 5, None),

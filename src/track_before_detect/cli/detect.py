@@ -103,11 +103,11 @@ def add_input_arguments(parser: Any) -> None:
     parser.add_argument('--config', metavar='FILE',
                         help='YAML file with options, flat or as ROS parameters; --detector and '
                         '--set override it')
-    parser.add_argument('--preset', metavar='NAME', default='auto',
+    parser.add_argument('--preset', metavar='NAME',
                         help='options for a kind of sensor, which --config, --set and --detector '
-                        'override one by one: auto looks at the first frames (default); none, '
-                        'eoir_static, eoir_moving, radar_range_doppler, radar_range_bearing, '
-                        'astronomy')
+                        'override one by one: auto looks at the first frames (default, unless '
+                        'preset is in the file); none, eoir_static, eoir_moving, '
+                        'radar_range_doppler, radar_range_bearing, astronomy')
     add_set_argument(parser, 'set one option; may be repeated')
     parser.add_argument('--topic', metavar='NAME', help='topic of a bag')
     parser.add_argument('--fps', metavar='RATE', type=float,
@@ -196,12 +196,10 @@ def search(recording: Recording, preset: str, told: Mapping[str, Any],
             f'{recording.name} must hold at least 2 frames to show a motion, got 1')
     # Compiled loops take a second to load; errors of the input need not wait for them.
     from track_before_detect.tracking.batcher import length_of
-    from track_before_detect.tracking.presets import choose_options, FRAMES_SEEN
+    from track_before_detect.tracking.presets import choose_for
     from track_before_detect.tracking.recording import detect_recording
 
-    seen = np.stack([recording[i] for i in range(min(FRAMES_SEEN, len(recording)))])
-    options, reasons = choose_options(preset, told, seen)
-    check_options(options)
+    options, reasons = choose_for(recording, preset, told)
     for reason in reasons:
         print(f'preset {preset}: {reason}', file=sys.stderr)
     if options.batch_length is None:
@@ -210,11 +208,12 @@ def search(recording: Recording, preset: str, told: Mapping[str, Any],
         try:
             # In a thread of its own, which an interrupt does not wait for.
             [result] = map_in_threads(
-                lambda frames: detect_recording(frames, options, progress, **observe),
+                lambda frames: detect_recording(frames, options, progress, reasons=reasons,
+                                                **observe),
                 [recording], progress.show_time)
         except DataError as error:
             raise DataError(f'{recording.name} cannot be searched: {error}') from error
-    return dataclasses.replace(result, remarks=[*reasons, *result.remarks]), options
+    return result, options
 
 
 def told_options(arguments: Namespace) -> dict[str, Any]:
@@ -228,6 +227,8 @@ def told_options(arguments: Namespace) -> dict[str, Any]:
         values[key] = parse_option(key, text)
     if arguments.detector is not None:
         values['detector'] = arguments.detector
+    named = values.pop('preset', 'auto')
+    arguments.preset = arguments.preset or named
     options = DetectorOptions.from_mapping(values)
     if arguments.preset == 'none':
         # Those of another preset may be what goes with what was told.
@@ -264,7 +265,7 @@ def _read_config(path: Path) -> dict[str, Any]:
 
 def _options_among_parameters(path: Path, parameters: Mapping[Any, Any]) -> dict[str, Any]:
     """Return the detector's options among the parameters of a node."""
-    optional = {option['name']: option['optional'] for option in describe()}
+    optional = {'preset': False, **{o['name']: o['optional'] for o in describe()}}
     others = [str(name) for name in parameters if name not in optional]
     if others:
         print(f'tbd: note: {path} also holds parameters of the node, not used here: '

@@ -12,25 +12,36 @@ from track_before_detect.errors import DataError
 
 LUMINANCE_WEIGHTS = (0.299, 0.587, 0.114)
 
-# Encoding: item type, channels, and which channels are red, green and blue (None: grey).
-_ENCODINGS: dict[str, tuple[str, int, tuple[int, int, int] | None]] = {
-    'mono8': ('u1', 1, None),
-    'mono16': ('u2', 1, None),
-    '8UC1': ('u1', 1, None),
-    '16UC1': ('u2', 1, None),
-    '32FC1': ('f4', 1, None),
-    '64FC1': ('f8', 1, None),
+# Encoding: item type, channels, and which of them are red, green and blue, or the one that is grey
+# (None: the pixels of a colour filter array).
+_ENCODINGS: dict[str, tuple[str, int, tuple[int, ...] | None]] = {
+    'mono8': ('u1', 1, (0,)),
+    'mono16': ('u2', 1, (0,)),
+    '8UC1': ('u1', 1, (0,)),
+    '16UC1': ('u2', 1, (0,)),
+    '16SC1': ('i2', 1, (0,)),
+    '32FC1': ('f4', 1, (0,)),
+    '64FC1': ('f8', 1, (0,)),
     # Real and imaginary part of complex numbers.
-    '32FC2': ('c8', 1, None),
+    '32FC2': ('c8', 1, (0,)),
+    # Two pixels share their colour: luma and half of it in turn.
+    'yuv422': ('u1', 2, (1,)),
+    'uyvy': ('u1', 2, (1,)),
+    'yuv422_yuy2': ('u1', 2, (0,)),
+    'yuyv': ('u1', 2, (0,)),
     'rgb8': ('u1', 3, (0, 1, 2)),
     'bgr8': ('u1', 3, (2, 1, 0)),
+    # Without names the channels are in the order of OpenCV.
+    '8UC3': ('u1', 3, (2, 1, 0)),
     'rgba8': ('u1', 4, (0, 1, 2)),
     'bgra8': ('u1', 4, (2, 1, 0)),
+    **{f'bayer_{filters}{8 * size}': (f'u{size}', 1, None)
+       for filters in ('rggb', 'bggr', 'gbrg', 'grbg') for size in (1, 2)},
 }
 ENCODINGS = tuple(_ENCODINGS)
 
 
-def luminance(colour: NDArray, order: tuple[int, int, int] = (0, 1, 2)) -> NDArray[np.float32]:
+def luminance(colour: NDArray, order: tuple[int, ...] = (0, 1, 2)) -> NDArray[np.float32]:
     """Return the luminance (ITU-R BT.601) of a colour image.
 
     Parameters
@@ -51,6 +62,21 @@ def luminance(colour: NDArray, order: tuple[int, int, int] = (0, 1, 2)) -> NDArr
     return grey
 
 
+def grey_of_mosaic(pixels: NDArray) -> NDArray[np.float32]:
+    """Return the grey picture of a colour filter array, shape (H, W).
+
+    Each pixel is the mean of the four blocks of 2 x 2 around it: a quarter red, half green and a
+    quarter blue whatever the filter of the pixel is, so that the mosaic does not show and nothing
+    is shifted.
+    """
+    # Mirrored at the outermost pixels the filters go on in turn.
+    sums = np.pad(pixels.astype(np.float32), 1, mode='reflect')
+    for _ in range(2):
+        sums = sums[1:] + sums[:-1]
+        sums = sums[:, 1:] + sums[:, :-1]
+    return sums / np.float32(16)
+
+
 def decode_image(data: Any, encoding: str, height: int, width: int, step: int,
                  is_bigendian: bool | int) -> NDArray:
     """Return the frame in the bytes of an image message.
@@ -60,7 +86,8 @@ def decode_image(data: Any, encoding: str, height: int, width: int, step: int,
     data : bytes-like
         Rows of pixels.
     encoding : str
-        One of :data:`ENCODINGS`; colour is turned to luminance.
+        One of :data:`ENCODINGS`; colour is turned to luminance, that of a filter array (bayer)
+        to grey.
     height, width : int
         Size in pixels.
     step : int
@@ -71,8 +98,8 @@ def decode_image(data: Any, encoding: str, height: int, width: int, step: int,
     Returns
     -------
     array, shape (H, W)
-        A copy in native byte order: uint8, uint16, float32, float64 or complex64 as encoded,
-        float32 for colour.
+        A copy in native byte order: uint8, uint16, int16, float32, float64 or complex64 as
+        encoded, float32 for colour.
     """
     if encoding not in _ENCODINGS:
         raise DataError(f'image encoding must be one of {", ".join(ENCODINGS)}, got {encoding!r}')
@@ -93,12 +120,11 @@ def decode_image(data: Any, encoding: str, height: int, width: int, step: int,
         raise DataError(
             f'a {encoding} image of {height} x {width} with step {step} needs {expected} bytes, '
             f'got {len(buffer)}')
-    shape = (height, width) if channels == 1 else (height, width, channels)
-    strides = (step, channels * item.itemsize, item.itemsize)[:len(shape)]
-    pixels = np.ndarray(shape, stored, buffer, strides=strides)
+    strides = (step, channels * item.itemsize, item.itemsize)
+    pixels = np.ndarray((height, width, channels), stored, buffer, strides=strides)
     if order is None:
-        return pixels.astype(item)
-    return luminance(pixels, order)
+        return grey_of_mosaic(pixels[..., 0])
+    return pixels[..., order[0]].astype(item) if len(order) == 1 else luminance(pixels, order)
 
 
 def multiarray_to_frame(data: ArrayLike, dim_sizes: Sequence[int], dim_strides: Sequence[int],

@@ -355,7 +355,8 @@ def _wait_until_searched(detector: ChildProcess, publisher: ChildProcess,
             what = 'waiting for frame_publisher and detector to find each other'
         status.show(what, f'{received} of {n_frames} frames, {batches} batches, '
                           f'{heard.n_trajectories} trajectories')
-        busy = heard.diagnostics.get('searching') == 'true' or (code is None and received)
+        busy = (heard.diagnostics.get('searching') == 'true' or (code is None and received)
+                or (received and heard.diagnostics['state'] != 'ready'))
         if busy or (received, batches, code) != counted:
             last_change_s, counted = time.monotonic(), (received, batches, code)
         quiet_s = time.monotonic() - last_change_s

@@ -8,7 +8,7 @@ searched at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Set
 from copy import copy
 import os
 import signal
@@ -43,33 +43,46 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from track_before_detect.errors import TbdError
-from track_before_detect.options import DetectorOptions
 from track_before_detect.recordings.overlay import render_overlay
 from track_before_detect.ros import conversions
-from track_before_detect.ros.diagnostics import diagnostics_message, Reception, Warnings
-from track_before_detect.ros.frame_queue import StreamSettings
+from track_before_detect.ros.diagnostics import (
+    diagnostics_message,
+    option_words,
+    Reception,
+    Warnings,
+)
+from track_before_detect.ros.frame_queue import StreamRequest
 from track_before_detect.ros.parameters import (
     NodeParameter,
     option_parameters,
-    options_from_parameters,
+    option_values,
     ParameterizedNode,
 )
 from track_before_detect.ros.running import run
 from track_before_detect.ros.worker import StreamResult, StreamWorker
-from track_before_detect.tracking.batcher import DEFAULT_LENGTH, hop_of
+from track_before_detect.tracking.batcher import DEFAULT_LENGTH
 from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.tracking.presets import AUTO, PRESETS
 from track_before_detect.types import STATUSES
 
 INPUT_DEPTH = 20
 OUTPUT_DEPTH = 50
 DIAGNOSTICS_PERIOD_S = 1.0
 PROGRESS_PERIOD_S = 2.0
+TRACKED_PERIOD_S = 5.0
+# Without a time of /clock until then somebody waits in vain.
+CLOCK_TIMEOUT_S = 5.0
 LIFETIME_BATCHES = 3.0
 STOP_TIMEOUT_S = 3.0
 
 RCLError, InvalidHandle = rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle
 
 PARAMETERS = [
+    NodeParameter(
+        'preset', AUTO, 'Where the options come from that are not given: auto looks at the first '
+        'frames of a stream (diagnostics say what was chosen, and why), none takes the defaults, '
+        'the others are for a kind of sensor. An option that is given a value, be it the default, '
+        'keeps it.', 'text', choices=(AUTO, *PRESETS), live=True),
     *option_parameters({'batch_length': DEFAULT_LENGTH}),
     NodeParameter(
         'max_gap_s', 0.0, 'Longest pause between two frames of a batch; a longer one starts a '
@@ -85,7 +98,8 @@ PARAMETERS = [
         unit='frames', minimum=0, live=True, optional=True),
     NodeParameter(
         'frame_height', 0, 'Height of the frames; with frame_width and frame_rate_hz the search '
-        'is prepared before the first frame arrives. Automatic waits for frames.', 'integer',
+        'is prepared before the first frame arrives, with preset auto only compiled. Automatic '
+        'waits for frames.', 'integer',
         unit='px', minimum=0, optional=True),
     NodeParameter(
         'frame_width', 0, 'Width of the frames; see frame_height.', 'integer', unit='px',
@@ -110,32 +124,37 @@ class DetectorNode(ParameterizedNode):
         self._warnings = Warnings()
         self._reception = Reception()
         self._logged_state = ('', 0.0)
+        self._began_s = time.monotonic()
         self._create_outputs()
         self._create_inputs()
-        self.refuse_unknown_parameters()
+        self.finish_parameters()
         values = self.values()
         shape = (values['frame_height'], values['frame_width'])
         rate = values['frame_rate_hz']
         known = min(shape) > 0 and rate > 0.0
         self._worker = StreamWorker(
-            *self._checked,
+            self._request,
             expected_shape=shape if known else None,
             expected_interval_s=1.0 / rate if known else None,
             on_result=self._publish, on_reset=self._clear_markers, on_state=self._state_changed,
-            on_warning=self._warn)
+            on_choice=self._log_choice, on_warning=self._warn)
         self._worker.start()
 
-    def check_values(self, values: Mapping[str, Any]) -> None:
+    def check_values(self, values: Mapping[str, Any], told: Set[str]) -> None:
         """Raise ParameterError when options do not go together, or not with the detector."""
-        checked = _options_and_settings(values)
-        TrackingPipeline(checked[0])
+        request = StreamRequest(
+            values['preset'],
+            option_values(PARAMETERS, {name: values[name] for name in values.keys() & told}),
+            max_gap_s=values['max_gap_s'] or None, queue_length=values['queue_length'] or None,
+            flush_after_s=values['flush_after_s'] or None)
+        TrackingPipeline(request.unseen.options)
         # Kept, so that the files that options name are not read again for what comes next.
-        self._checked = checked
+        self._request = request
 
     def on_change(self, names: list[str]) -> None:
         """Hand changed parameters to the worker, which uses them from the next batch on."""
         self.get_logger().info(f'changed: {", ".join(names)}; in effect from the next batch on')
-        self._worker.queue.configure(*self._checked)
+        self._worker.queue.configure(self._request)
 
     def stop(self) -> bool:
         """Stop the worker; return whether it stopped in time."""
@@ -198,8 +217,10 @@ class DetectorNode(ParameterizedNode):
             return
         queue = self._worker.queue
         if queue.put(pixels, conversions.seconds_from_time(header.stamp), header):
+            busy = ('searching cannot keep up' if self._worker.status.state == 'ready' else
+                    f'frames come while the search is made ready ({self._worker.status.state})')
             self._warn('dropped', (
-                f'searching cannot keep up: {queue.counters.dropped} of '
+                f'{busy}: {queue.counters.dropped} of '
                 f'{queue.counters.received} frames were dropped so far'))
 
     def _flush(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -212,8 +233,12 @@ class DetectorNode(ParameterizedNode):
         trajectories = result.detection.trajectories
         header = result.tags[int(result.batch.frame_indices[-1])]
         stamps = {index: tag.stamp for index, tag in result.tags.items()}
-        _, settings = self._checked
-        lifetime_s = LIFETIME_BATCHES * settings.hop * (result.interval_s or 1.0)
+        lifetime_s = LIFETIME_BATCHES * result.hop * (result.interval_s or 1.0)
+        if trajectories:
+            number = len(trajectories)
+            self.get_logger().info(
+                f'{number} {"trajectory" if number == 1 else "trajectories"} now',
+                throttle_duration_sec=TRACKED_PERIOD_S)
         with self._lock:
             shown = {trajectory.id for trajectory in trajectories}
             ended, self._shown = self._shown - shown, shown
@@ -260,6 +285,12 @@ class DetectorNode(ParameterizedNode):
             self.get_logger().info(f'{status.state}: {status.detail}')
         self._publish_diagnostics()
 
+    def _log_choice(self) -> None:
+        status = self._worker.status
+        for reason in status.reasons:
+            self.get_logger().info(f'preset {status.preset}: {reason}')
+        self.get_logger().info(f'options: {option_words(status.options)}')
+
     def _warn(self, kind: str, text: str) -> None:
         """Show a warning in the diagnostics, and log it unless its kind was logged just now."""
         with self._lock:
@@ -268,23 +299,15 @@ class DetectorNode(ParameterizedNode):
             self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
+        if (self.get_parameter('use_sim_time').value and not self.get_clock().now().nanoseconds
+                and time.monotonic() - self._began_s > CLOCK_TIMEOUT_S):
+            self._warn('clock', 'use_sim_time is set, but no time came on /clock: is the bag '
+                       'played with --clock, or the simulation running?')
         queue = self._worker.queue
         self._send(self._diagnostics, diagnostics_message(
             self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(),
             copy(self._worker.status), copy(queue.counters), len(queue), self._reception,
             self._warnings))
-
-
-def _options_and_settings(values: Mapping[str, Any]) -> tuple[DetectorOptions, StreamSettings]:
-    """Return the options of the detector and how to cut and buffer the stream, none automatic."""
-    length = values['batch_length'] or DEFAULT_LENGTH
-    hop = values['hop'] or hop_of(length)
-    options = options_from_parameters(
-        PARAMETERS, {**values, 'batch_length': length, 'hop': hop})
-    return options, StreamSettings(
-        batch_length=length, hop=hop, max_gap_s=values['max_gap_s'] or None,
-        queue_length=values['queue_length'] or 2 * length,
-        flush_after_s=values['flush_after_s'] or None)
 
 
 def spin_and_stop(node: DetectorNode, spin: Callable[[Node], None] = rclpy.spin) -> None:

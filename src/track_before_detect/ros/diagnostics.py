@@ -11,6 +11,7 @@ from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from std_msgs.msg import Header
 
+from track_before_detect.options import describe, DetectorOptions
 from track_before_detect.ros.frame_queue import Counters
 from track_before_detect.ros.worker import Status
 
@@ -53,6 +54,14 @@ class Reception:
     n_incompatible: int = 0
 
 
+def option_words(options: DetectorOptions) -> str:
+    """Return the options that are not the default, as text."""
+    values = {option['name']: (getattr(options, option['name']), option['default'])
+              for option in describe()}
+    return ', '.join(f'{name}={value}' for name, (value, default) in values.items()
+                     if value != default)
+
+
 def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counters,
                         n_waiting: int, reception: Reception, warnings: Warnings
                         ) -> DiagnosticArray:
@@ -84,6 +93,9 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
     values: dict[str, Any] = {
         'state': status.state,
         'detail': status.detail,
+        'preset': status.preset,
+        'options': option_words(status.options),
+        'reasons': '; '.join(status.reasons),
         'frame_size': '' if status.shape is None else f'{status.shape[0]} x {status.shape[1]}',
         'searching': str(status.searching).lower(),
         'threshold': f'{status.threshold:.4f}',

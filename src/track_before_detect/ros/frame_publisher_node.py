@@ -87,7 +87,7 @@ class FramePublisherNode(ParameterizedNode):
         super().__init__('frame_publisher', PARAMETERS)
         self._open()
         self._create_outputs()
-        self.refuse_unknown_parameters()
+        self.finish_parameters()
         self.finished = False
         self._next = 0
         self._n_published = 0

@@ -1,4 +1,4 @@
-"""What callbacks hand to the search thread: frames, changes of settings, a flush.
+"""What callbacks hand to the search thread: frames, what is asked for, a flush.
 
 No ROS types in here.
 """
@@ -6,14 +6,19 @@ No ROS types in here.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 import threading
 import time
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.options import DetectorOptions
+from track_before_detect.tracking.batcher import DEFAULT_LENGTH, hop_of, SlidingWindow
+from track_before_detect.tracking.presets import AUTO, Choice, choose_options, FRAMES_SEEN, NONE
 
 
 @dataclass(frozen=True)
@@ -65,6 +70,62 @@ class StreamSettings:
     flush_after_s: float | None
 
 
+@dataclass(frozen=True)
+class StreamRequest:
+    """What was told about a stream; the rest is chosen.
+
+    Attributes
+    ----------
+    preset : str
+        Where the options come from that were not told: of the presets by name, or ``auto``.
+    told : mapping
+        Names and values of options.
+    max_gap_s, queue_length, flush_after_s
+        See :class:`StreamSettings`; None is automatic.
+    """
+
+    preset: str
+    told: Mapping[str, Any]
+    max_gap_s: float | None = None
+    queue_length: int | None = None
+    flush_after_s: float | None = None
+
+    @property
+    def looks(self) -> bool:
+        """Whether frames have to be seen before all is chosen."""
+        return self.preset == AUTO
+
+    @cached_property
+    def unseen(self) -> Choice:
+        """What is known without a frame, raising ParameterError for what cannot be."""
+        return self._choose(NONE if self.looks else self.preset, np.empty((0, 0, 0)))
+
+    def chosen(self, frames: NDArray) -> Choice:
+        """Return options for a stream that begins with frames (T, H, W), none automatic."""
+        return self._choose(self.preset, frames) if self.looks else self.unseen
+
+    def window(self, options: DetectorOptions | None) -> SlidingWindow:
+        """Return an empty window for options that were chosen, for a look where None."""
+        settings = self.settings(options or self.unseen.options)
+        if options is None:
+            length = hop = min(FRAMES_SEEN, settings.batch_length)
+        else:
+            length, hop = settings.batch_length, settings.hop
+        return SlidingWindow(length, hop, settings.max_gap_s)
+
+    def settings(self, options: DetectorOptions) -> StreamSettings:
+        """Return how the stream is cut and buffered for options that were chosen."""
+        length, hop = options.batch_length or DEFAULT_LENGTH, options.hop or 1
+        return StreamSettings(length, hop, self.max_gap_s, self.queue_length or 2 * length,
+                              self.flush_after_s)
+
+    def _choose(self, preset: str, frames: NDArray) -> Choice:
+        options, reasons = choose_options(preset, self.told, frames)
+        length = options.batch_length or DEFAULT_LENGTH
+        return Choice(options.replace(
+            batch_length=length, hop=options.hop or hop_of(length)), reasons)
+
+
 @dataclass
 class Counters:
     """What happened so far; frames are counted once, as used, refused or dropped."""
@@ -81,9 +142,9 @@ class Counters:
 
 @dataclass(frozen=True)
 class Work:
-    """The next thing to do: use other settings, take a frame, or flush; nothing after a pause."""
+    """The next thing to do: search otherwise, take a frame, or flush; nothing after a pause."""
 
-    changes: tuple[DetectorOptions, StreamSettings] | None = None
+    request: StreamRequest | None = None
     frame: StreamFrame | None = None
     flush: bool = False
 
@@ -91,7 +152,7 @@ class Work:
 class FrameQueue:
     """Bounded queue of frames from which the oldest are dropped, so that intake never waits.
 
-    Changes of settings overtake the frames that wait; a flush comes after them.
+    Requests overtake the frames that wait; a flush comes after them.
 
     Parameters
     ----------
@@ -112,7 +173,7 @@ class FrameQueue:
         self.closed = False
         self._changed = threading.Condition()
         self._frames: deque[StreamFrame] = deque()
-        self._changes: tuple[DetectorOptions, StreamSettings] | None = None
+        self._request: StreamRequest | None = None
         self._flush_asked = False
 
     def __len__(self) -> int:
@@ -142,10 +203,10 @@ class FrameQueue:
             self.counters.received += 1
             self.counters.refused += 1
 
-    def configure(self, options: DetectorOptions, settings: StreamSettings) -> None:
-        """Ask for other options and settings from the next batch on."""
+    def configure(self, request: StreamRequest) -> None:
+        """Ask for something else from the next batch on."""
         with self._changed:
-            self._changes = (options, settings)
+            self._request = request
             self._changed.notify()
 
     def flush(self) -> None:
@@ -166,13 +227,13 @@ class FrameQueue:
             self._changed.wait_for(self._has_work, timeout_s)
             if self.closed:
                 return None
-            if self._changes is not None:
-                changes, self._changes = self._changes, None
-                return Work(changes=changes)
+            if self._request is not None:
+                request, self._request = self._request, None
+                return Work(request=request)
             if self._frames:
                 return Work(frame=self._frames.popleft())
             flush, self._flush_asked = self._flush_asked, False
             return Work(flush=flush)
 
     def _has_work(self) -> bool:
-        return bool(self.closed or self._frames or self._changes or self._flush_asked)
+        return bool(self.closed or self._frames or self._request or self._flush_asked)

@@ -7,6 +7,7 @@ was added or changed.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 import sys
 import textwrap
@@ -15,15 +16,17 @@ from typing import Any
 from track_before_detect.options import range_words
 from track_before_detect.ros import detector_node, frame_publisher_node
 from track_before_detect.ros.parameters import NodeParameter
+from track_before_detect.tracking.presets import NONE, PRESETS
 
 WIDTH = 95
 
 DETECTOR_HEADER = """\
 # Parameters of the node detector, each with its default.
 #
-# Live parameters may be changed while the node runs and take effect from the next batch on; the
-# others are read once, at start. Not listed: use_sim_time, and the overrides of the quality of
-# service of the inputs, such as
+# The options of the detector are commented out, so that the preset chooses them; one whose # is
+# taken away keeps its value, be it the default. Live parameters may be changed while the node runs
+# and take effect from the next batch on; the others are read once, at start. Not listed:
+# use_sim_time, and the overrides of the quality of service of the inputs, such as
 #   qos_overrides./image.subscription.reliability: reliable
 # A parameter that the node does not know is an error.
 """
@@ -34,27 +37,46 @@ FRAME_PUBLISHER_HEADER = """\
 #   qos_overrides./image.publisher.depth: 50
 # A parameter that the node does not know is an error.
 """
-FILES = {
-    'detector.param.yaml': (DETECTOR_HEADER, detector_node.PARAMETERS),
-    'frame_publisher.param.yaml': (FRAME_PUBLISHER_HEADER, frame_publisher_node.PARAMETERS),
-}
+PRESET_HEADER = """\
+# Options for a kind of sensor, the preset {}: a file of parameters for the node
+# detector (--params-file, or params_file of the launch file) and for tbd detect --config.
+#
+# What is changed or added here wins over the preset{}
+"""
+NEEDS = {
+    'radar_range_doppler': ';\n# range_bins_per_doppler_bin has to be added, see config/'
+                           'detector.param.yaml.'}
 
 
-def parameter_file(header: str, parameters: Iterable[NodeParameter]) -> str:
-    """Return a YAML file of parameters, usable for a node of any name and namespace."""
+def parameter_file(header: str, parameters: Iterable[NodeParameter],
+                   open_to_preset: bool = False) -> str:
+    """Return a YAML file of parameters, usable for a node of any name and namespace.
+
+    Parameters
+    ----------
+    header : str
+        Comment at the top.
+    parameters : iterable of NodeParameter
+        Written with their defaults.
+    open_to_preset : bool
+        Whether options of the detector are commented out.
+    """
     lines = [header + '/**:\n  ros__parameters:']
     for parameter in parameters:
         lines.append('')
         lines += textwrap.wrap(_explanation(parameter), WIDTH, initial_indent='    # ',
                                subsequent_indent='    # ')
-        lines.append(f'    {parameter.name}: {_yaml(parameter.default)}')
+        mark = '#' if open_to_preset and parameter.is_option else ''
+        lines.append(f'    {mark}{parameter.name}: {_yaml(parameter.default)}')
     return '\n'.join(lines) + '\n'
 
 
-def main(folder: str) -> None:
-    """Write the files to a folder."""
-    for name, (header, parameters) in FILES.items():
-        Path(folder, name).write_text(parameter_file(header, parameters), encoding='utf-8')
+def _preset_file(name: str) -> str:
+    """Return the file of a preset: its options, and its name for those that are taken out."""
+    values = {'preset': name, **PRESETS[name]}
+    return parameter_file(PRESET_HEADER.format(name, NEEDS.get(name, '.')), [
+        replace(parameter, default=values[parameter.name])
+        for parameter in detector_node.PARAMETERS if parameter.name in values])
 
 
 def _explanation(parameter: NodeParameter) -> str:
@@ -74,6 +96,20 @@ def _yaml(value: Any) -> str:
     if isinstance(value, list):
         return f'[{", ".join(_yaml(item) for item in value)}]'
     return repr(value)
+
+
+FILES = {
+    'detector.param.yaml': parameter_file(DETECTOR_HEADER, detector_node.PARAMETERS, True),
+    'frame_publisher.param.yaml': parameter_file(
+        FRAME_PUBLISHER_HEADER, frame_publisher_node.PARAMETERS),
+    **{f'{name}.yaml': _preset_file(name) for name in PRESETS if name != NONE},
+}
+
+
+def main(folder: str) -> None:
+    """Write the files to a folder."""
+    for name, text in FILES.items():
+        Path(folder, name).write_text(text, encoding='utf-8')
 
 
 if __name__ == '__main__':

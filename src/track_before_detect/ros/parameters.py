@@ -7,7 +7,7 @@ later changes itself before rclpy sees them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -149,16 +149,15 @@ def option_parameters(defaults: Mapping[str, Any]) -> list[NodeParameter]:
     return parameters
 
 
-def options_from_parameters(
-        parameters: Iterable[NodeParameter], values: Mapping[str, Any]) -> DetectorOptions:
-    """Make the options of a detector from the values of a node's parameters."""
-    options = {}
-    for parameter in parameters:
-        if parameter.is_option:
-            value = values[parameter.name]
-            automatic = parameter.optional and is_neutral(value)
-            options[parameter.name] = None if automatic else value
-    return DetectorOptions.from_mapping(options)
+def option_values(parameters: Iterable[NodeParameter], values: Mapping[str, Any],
+                  ) -> dict[str, Any]:
+    """Return those of the values that are options of a detector, checked, None for automatic."""
+    options = {
+        parameter.name: None if parameter.optional and is_neutral(values[parameter.name])
+        else values[parameter.name]
+        for parameter in parameters if parameter.is_option and parameter.name in values}
+    checked = DetectorOptions.from_mapping(options)
+    return {name: getattr(checked, name) for name in options}
 
 
 class ParameterizedNode(Node):
@@ -180,12 +179,14 @@ class ParameterizedNode(Node):
     def __init__(self, name: str, parameters: list[NodeParameter]):
         super().__init__(name)
         self._table = {parameter.name: parameter for parameter in parameters}
+        # Names of the parameters that were given a value, be it the default.
+        self._told = self._table.keys() & self._parameter_overrides.keys()
         values = {}
         for parameter in parameters:
             override = self._parameter_overrides.get(parameter.name)
             given = parameter.default if override is None else _plain(override.value)
             values[parameter.name] = parameter.check(given)
-        self.check_values(values)
+        self.check_values(values, self._told)
         for parameter in parameters:
             # The override was checked above and may have been turned from 1 to 1.0.
             self.declare_parameter(
@@ -196,20 +197,24 @@ class ParameterizedNode(Node):
         """Return the value of every parameter of the table."""
         return {name: _plain(self.get_parameter(name).value) for name in self._table}
 
-    def check_values(self, values: Mapping[str, Any]) -> None:
-        """Raise ParameterError when values do not go together."""
+    def check_values(self, values: Mapping[str, Any], told: Set[str]) -> None:
+        """Raise ParameterError when values do not go together; ``told`` names those given."""
 
     def on_change(self, names: list[str]) -> None:
         """Act on parameters that were changed while the node runs."""
 
-    def refuse_unknown_parameters(self) -> None:
-        """Raise ParameterError when a value was given for a parameter that does not exist.
+    def finish_parameters(self) -> None:
+        """Say which parameters are not the default; refuse those that do not exist.
 
         Called once everything is declared, also what rclpy declares for quality of service.
         """
         for name in self._parameter_overrides:
             if not self.has_parameter(name):
                 raise ParameterError(self._unknown(name))
+        given = [f'{name}={value}' for name, value in self.values().items()
+                 if value != self._table[name].default]
+        self.get_logger().info(
+            f'parameters that are not the default: {", ".join(given) or "none"}')
 
     @contextmanager
     def overridable_qos(self) -> Iterator[None]:
@@ -225,19 +230,25 @@ class ParameterizedNode(Node):
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters, refusing what cannot be used with a sentence that says why."""
+        before = self.values()
         try:
             checked = self._checked_changes(parameter_list)
         except ParameterError as error:
             return SetParametersResult(successful=False, reason=str(error))
         result = super().set_parameters_atomically(checked)
-        changed = [parameter.name for parameter in checked if parameter.name in self._table]
-        if result.successful and changed:
-            self.on_change(changed)
+        names = [parameter.name for parameter in checked if parameter.name in self._table]
+        if result.successful:
+            # One that is told its value for the first time no longer goes by the preset.
+            changed = [name for name in names
+                       if name not in self._told or self.values()[name] != before[name]]
+            self._told |= set(names)
+            if changed:
+                self.on_change(changed)
         return result
 
     def _checked_changes(self, parameter_list: list[Parameter]) -> list[Parameter]:
         values = self.values()
-        checked = []
+        checked, told = [], set(self._told)
         for parameter in parameter_list:
             if not self.has_parameter(parameter.name):
                 raise ParameterError(self._unknown(parameter.name))
@@ -245,13 +256,16 @@ class ParameterizedNode(Node):
             if known is None:
                 checked.append(parameter)
                 continue
-            if not known.live:
+            value = known.check(_plain(parameter.value))
+            if known.live:
+                values[parameter.name] = value
+                told.add(parameter.name)
+                checked.append(Parameter(parameter.name, value=value))
+            elif value != values[parameter.name]:
                 raise ParameterError(
                     f'{parameter.name} cannot be changed while the node runs; '
                     'give it when the node is started')
-            values[parameter.name] = known.check(_plain(parameter.value))
-            checked.append(Parameter(parameter.name, value=values[parameter.name]))
-        self.check_values(values)
+        self.check_values(values, told)
         return checked
 
     def _unknown(self, name: str) -> str:

@@ -6,19 +6,21 @@ No ROS types in here.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 import logging
 import threading
 import time
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect.errors import TbdError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.ros.frame_queue import FrameQueue, StreamFrame, StreamSettings
-from track_before_detect.tracking.batcher import Outcome, SlidingWindow
+from track_before_detect.ros.frame_queue import FrameQueue, StreamFrame, StreamRequest
+from track_before_detect.tracking.batcher import Intake, Outcome
 from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.tracking.presets import Choice
 from track_before_detect.types import DetectionResult, FrameBatch
 
 logger = logging.getLogger(__name__)
@@ -43,17 +45,20 @@ class StreamResult:
         Frame index to the tag given at intake.
     interval_s : float
         Median time between the frames of the batch, 0 when there is only one.
+    hop : int
+        Frames from this batch to the next.
     """
 
     detection: DetectionResult
     batch: FrameBatch
     tags: dict[int, Any]
     interval_s: float
+    hop: int
 
 
 @dataclass
 class Status:
-    """Where the worker is, for diagnostics."""
+    """Where the worker is and what it searches with, for diagnostics."""
 
     state: str = 'waiting for frames'
     detail: str = ''
@@ -63,6 +68,9 @@ class Status:
     latency_s: float = 0.0
     shape: tuple[int, int] | None = None
     searching: bool = False
+    preset: str = ''
+    options: DetectorOptions = field(default_factory=DetectorOptions)
+    reasons: list[str] = field(default_factory=list)
 
 
 class _StopRequestedError(Exception):
@@ -74,10 +82,8 @@ class StreamWorker:
 
     Parameters
     ----------
-    options : DetectorOptions
-        Of the pipeline.
-    settings : StreamSettings
-        Of the window and the queue.
+    request : StreamRequest
+        What is searched and how the stream is cut, or that the first frames decide it.
     expected_shape : tuple of int, optional
         Height and width; with ``expected_interval_s`` the search is prepared before the first
         frame arrives.
@@ -89,6 +95,8 @@ class StreamWorker:
         Takes nothing; ids start again.
     on_state : callable
         Takes nothing; :attr:`status` has changed.
+    on_choice : callable
+        Takes nothing; the first frames of a stream have decided on other options.
     on_warning : callable
         Takes a kind, for throttling, and a sentence.
     make_pipeline : callable
@@ -102,34 +110,41 @@ class StreamWorker:
         Where the search is.
     """
 
-    def __init__(self, options: DetectorOptions, settings: StreamSettings, *,
+    def __init__(self, request: StreamRequest, *,
                  expected_shape: tuple[int, int] | None = None,
                  expected_interval_s: float | None = None,
                  on_result: Callable[[StreamResult], None],
                  on_reset: Callable[[], None],
                  on_state: Callable[[], None],
+                 on_choice: Callable[[], None],
                  on_warning: Callable[[str, str], None],
                  make_pipeline: Callable[
                      [DetectorOptions, TrackingPipeline | None], TrackingPipeline]
                  = TrackingPipeline) -> None:
-        self.queue = FrameQueue(settings.queue_length)
+        self.queue = FrameQueue(request.settings(request.unseen.options).queue_length)
         self.status = Status()
         self._counters = self.queue.counters
         self._on_result = on_result
         self._on_reset = on_reset
         self._on_state = on_state
+        self._on_choice = on_choice
         self._on_warning = on_warning
         self._make_pipeline = make_pipeline
-        self._options = options
-        self._settings = settings
+        self._request = request
         self._expected = (expected_shape, expected_interval_s)
-        self._pipeline = make_pipeline(options, None)
-        self._window = SlidingWindow(settings.batch_length, settings.hop, settings.max_gap_s)
+        self._options = request.unseen.options
+        self._settings = request.settings(self._options)
+        self._pipeline = make_pipeline(self._options, None)
+        # Whether the frames in the window are to be looked at first, and those that were.
+        self._looking = request.looks
+        self._seen: NDArray = np.empty((0, 0, 0))
         self._prepared_for: tuple[int, int] | None = None
         self._failed_for: tuple[int, int] | None = None
-        self._ready_text = ''
+        self._prepared_s = 0.0
         self._held: dict[int, StreamFrame] = {}
         self._last_arrival_s = 0.0
+        self._window = request.window(None if request.looks else self._options)
+        self._adopt(request.unseen)
         self._thread = threading.Thread(target=self._run, name='search', daemon=True)
 
     def start(self) -> None:
@@ -146,12 +161,12 @@ class StreamWorker:
         try:
             self._prepare_or_wait(*self._expected)
             while (work := self.queue.take(self._idle_time_left())) is not None:
-                if work.changes is not None:
-                    self._reconfigure(*work.changes)
+                if work.request is not None:
+                    self._reconfigure(work.request)
                 elif work.frame is not None:
                     self._take(work.frame)
                 elif work.flush or self._idle_time_left() == 0.0:
-                    self._search(self._window.flush())
+                    self._flush()
         except _StopRequestedError:
             pass
         except Exception:
@@ -177,27 +192,100 @@ class StreamWorker:
             self.queue.refuse()
             self._on_warning('not finite', 'expected finite pixels, found none in the frame')
             return
+        self._held[frame.index] = frame
         intake = self._window.add(frame.pixels, frame.stamp_s, frame.index)
+        if intake.left_out:
+            self._refuse(intake.left_out)
         if intake.outcome is Outcome.REFUSED:
-            self.queue.refuse()
-            self._on_warning('refused', f'frame refused: {intake.reason}')
+            del self._held[frame.index]
+            self._refuse(f'frame refused: {intake.reason}')
+        if intake.outcome in (Outcome.REFUSED, Outcome.WAITING):
             return
         self._counters.used += 1
-        self._held[frame.index] = frame
-        while len(self._held) > self._settings.batch_length + 1:
+        # The tail of a window that was started again, this frame, and one that waited.
+        while len(self._held) > self._window.length + 2:
             del self._held[min(self._held)]
-        if intake.outcome is not Outcome.ACCEPTED:
-            self._counters.restarts += 1
-            self._on_warning(intake.outcome.value, f'the window starts again: {intake.reason}')
+        if intake.outcome is Outcome.ACCEPTED:
+            self._search(intake.batch)
+        else:
+            self._start_again(intake, frame)
+        if self._looking:
+            self._set_state('looking at the first frames',
+                            f'{len(self._window)} of {self._window.length}')
+        elif self._prepared_for != frame.pixels.shape and len(self._window) >= FRAMES_TO_LEARN:
+            self._prepare(frame.pixels.shape, self._window.median_interval_s)
+
+    def _refuse(self, reason: str) -> None:
+        self.queue.refuse()
+        self._on_warning('refused', reason)
+
+    def _start_again(self, intake: Intake, frame: StreamFrame) -> None:
+        """Search what is left of the stream before, and see whether this is another one."""
+        self._counters.restarts += 1
+        self._on_warning(intake.outcome.value, f'the window starts again: {intake.reason}')
         self._search(intake.batch)
-        if intake.outcome is not Outcome.ACCEPTED:
-            # What could not be prepared at the rate of before may be at that of now.
-            self._failed_for = None
-        if intake.outcome in (Outcome.JUMP_BACK, Outcome.SIZE_CHANGE):
+        # What could not be prepared at the rate of before may be at that of now.
+        self._failed_for = None
+        if intake.outcome is Outcome.JUMP_BACK:
+            # The one that waited.
+            self._counters.used += 1
+        elif self._request.looks and not self._looking:
+            self._looking = True
+            self._window = self._request.window(None)
+            self._window.add(frame.pixels, frame.stamp_s, frame.index)
+        if intake.outcome is not Outcome.GAP:
             self._pipeline.reset()
             self._on_reset()
-        if self._prepared_for != frame.pixels.shape and len(self._window) >= FRAMES_TO_LEARN:
-            self._prepare(frame.pixels.shape, self._window.median_interval_s)
+
+    def _flush(self) -> None:
+        """Search the frames that were in no batch yet; a look comes before."""
+        while (batch := self._window.flush()) is not None:
+            self._search(batch)
+
+    def _look(self, batch: FrameBatch, interval_s: float) -> None:
+        """Choose by the first frames of a stream, then search them."""
+        self._set_state('choosing', f'options by {len(batch)} frames')
+        choice = self._chosen(self._request, batch.frames)
+        if choice is None:
+            return
+        self._looking, self._seen = False, batch.frames
+        self._adopt(choice)
+        self._window = self._request.window(self._options)
+        shape = batch.frames.shape[1:]
+        if self._prepared_for == shape:
+            self._set_ready()
+        elif not self._prepare(shape, interval_s):
+            return
+        for index in batch.frame_indices:
+            frame = self._held[int(index)]
+            self._search(self._window.add(frame.pixels, frame.stamp_s, frame.index).batch)
+
+    def _chosen(self, request: StreamRequest, frames: NDArray) -> Choice | None:
+        """Return what is taken for frames, None if that cannot be searched."""
+        try:
+            choice = request.chosen(frames)
+            # Raises for what the detector in use cannot honour.
+            self._make_pipeline(choice.options, None)
+            return choice
+        except Exception as error:
+            self._failed('choosing options failed', error)
+            self._set_state('failed', f'choosing options failed: {error}')
+            return None
+
+    def _adopt(self, choice: Choice) -> bool:
+        """Search with other options from now on; return whether they are others."""
+        others = choice.options != self._options
+        news = others or choice.reasons != self.status.reasons
+        if others:
+            self._pipeline = self._make_pipeline(choice.options, self._pipeline)
+            self._prepared_for = self._failed_for = None
+        self._options = self.status.options = choice.options
+        self._settings = self._request.settings(choice.options)
+        self.queue.length = self._settings.queue_length
+        self.status.preset, self.status.reasons = self._request.preset, choice.reasons
+        if news and choice.reasons:
+            self._on_choice()
+        return others
 
     def _search(self, batch: FrameBatch | None) -> None:
         """Search a batch, if there is one, and hand on what was found."""
@@ -205,6 +293,9 @@ class StreamWorker:
             return
         shape = batch.frames.shape[1:]
         interval_s = float(np.median(np.diff(batch.stamps))) if len(batch) > 1 else 0.0
+        if self._looking:
+            self._look(batch, interval_s)
+            return
         if self._prepared_for != shape and not self._prepare(shape, interval_s):
             return
         started = time.monotonic()
@@ -215,19 +306,21 @@ class StreamWorker:
             raise
         except Exception as error:
             self._failed('the search failed', error)
-            self._set_state('ready', self._ready_text)
+            self._set_ready()
             return
         finally:
             self.status.searching = False
-        if self.status.state != 'ready':
-            self._set_state('ready', self._ready_text)
         self.status.shape = shape
+        self.status.threshold = detection.threshold
+        if self.status.state != 'ready':
+            self._set_ready()
         self._counters.batches += 1
         self._counters.trajectories += len(detection.trajectories)
         frames = {int(index): self._held[int(index)] for index in batch.frame_indices}
         tags = {index: frame.tag for index, frame in frames.items()}
         try:
-            self._on_result(StreamResult(detection, batch, tags, interval_s))
+            self._on_result(StreamResult(
+                detection, batch, tags, interval_s, self._settings.hop))
         except Exception as error:
             self._failed('the result could not be handed on', error)
         finished = time.monotonic()
@@ -236,7 +329,6 @@ class StreamWorker:
         self.status.longest_processing_s = max(
             self.status.longest_processing_s, finished - started)
         self.status.latency_s = finished - newest.arrival_s
-        self.status.threshold = detection.threshold
 
     def _prepare_or_wait(self, shape: tuple[int, int] | None, interval_s: float | None) -> None:
         """Prepare the search for frames of a size, if it is known."""
@@ -252,9 +344,15 @@ class StreamWorker:
         self.status.shape = shape
         self._set_state('preparing', f'for {shape[0]} x {shape[1]} frames')
         started = time.monotonic()
+        # A threshold that the first frames may change is not worth a calibration.
+        compiles_only = self._looking and self._options.threshold is None
         try:
-            threshold = self._pipeline.warm_up(
-                shape, interval_s or 1.0, self._settings.batch_length, self._progress)
+            if compiles_only:
+                self._pipeline.compile(self._progress)
+                self.status.threshold = float('nan')
+            else:
+                self.status.threshold = self._pipeline.warm_up(
+                    shape, interval_s or 1.0, self._settings.batch_length, self._progress)
         except _StopRequestedError:
             raise
         except Exception as error:
@@ -262,14 +360,21 @@ class StreamWorker:
             self._failed('preparing the search failed', error)
             self._set_state('failed', f'preparing the search failed: {error}')
             return False
-        self._prepared_for = shape
-        self.status.threshold = threshold
-        self._ready_text = (
-            f'{shape[0]} x {shape[1]} frames, threshold {threshold:.3f}, batches of '
-            f'{self._settings.batch_length} frames every {self._settings.hop}, prepared in '
-            f'{time.monotonic() - started:.1f} s')
-        self._set_state('ready', self._ready_text)
+        self._prepared_for = None if compiles_only else shape
+        self._prepared_s = time.monotonic() - started
+        self._set_ready()
         return True
+
+    def _set_ready(self) -> None:
+        height, width = self.status.shape or (0, 0)
+        words = [f'{height} x {width} frames']
+        if np.isfinite(self.status.threshold):
+            words.append(f'threshold {self.status.threshold:.3f}')
+        words += [f'batches of {self._settings.batch_length} frames every {self._settings.hop}',
+                  f'prepared in {self._prepared_s:.1f} s']
+        if self._looking:
+            words.append(f'the first {self._window.length} frames choose what was not told')
+        self._set_state('ready', ', '.join(words))
 
     def _progress(self, label: str, done: float) -> None:
         if self.queue.closed:
@@ -279,24 +384,23 @@ class StreamWorker:
             return
         self._set_state(label, f'{100.0 * done:.0f} %')
 
-    def _reconfigure(self, options: DetectorOptions, settings: StreamSettings) -> None:
-        """Use other options and settings from the next batch on."""
-        same_window = (settings.batch_length, settings.hop, settings.max_gap_s) == (
-            self._settings.batch_length, self._settings.hop, self._settings.max_gap_s)
-        if not same_window:
-            self._search(self._window.flush())
-            self._window = SlidingWindow(settings.batch_length, settings.hop, settings.max_gap_s)
-        rebuild = options != self._options or settings.batch_length != self._settings.batch_length
-        self._options, self._settings = options, settings
-        self.queue.length = settings.queue_length
-        if not rebuild:
+    def _reconfigure(self, request: StreamRequest) -> None:
+        """Search what is asked for from the next batch on."""
+        looking = request.looks and (self._looking or not len(self._seen))
+        choice = request.unseen if looking else self._chosen(request, self._seen)
+        if choice is None:
             return
         shape, interval_s = self._window.shape, self._window.median_interval_s
         if shape is None or interval_s is None:
             shape, interval_s = self._expected
-        self._pipeline = self._make_pipeline(options, self._pipeline)
-        self._prepared_for = self._failed_for = None
-        self._prepare_or_wait(shape, interval_s)
+        window = request.window(None if looking else choice.options)
+        if (window.length, window.hop, window.max_gap_s) != (
+                self._window.length, self._window.hop, self._window.max_gap_s):
+            self._flush()
+            self._window = window
+        self._request, self._looking = request, looking
+        if self._adopt(choice):
+            self._prepare_or_wait(shape, interval_s)
 
     def _failed(self, what: str, error: Exception) -> None:
         self._counters.failures += 1

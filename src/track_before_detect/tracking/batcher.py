@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -36,6 +36,7 @@ class Outcome(Enum):
 
     ACCEPTED = 'accepted'
     REFUSED = 'refused'
+    WAITING = 'waiting'
     GAP = 'gap'
     JUMP_BACK = 'jump_back'
     SIZE_CHANGE = 'size_change'
@@ -49,17 +50,21 @@ class Intake:
     ----------
     outcome : Outcome
         ``REFUSED`` leaves the window as it was; ``GAP``, ``JUMP_BACK`` and ``SIZE_CHANGE`` start
-        it again with this frame.
+        it again with this frame, ``JUMP_BACK`` with the one before as well. ``WAITING`` is a
+        stamp before all that are held: the next frame tells whether it alone is wrong.
     batch : FrameBatch or None
         Frames to search now. When the window was started again this is the full window of
         before, if some of its frames were in no batch yet.
     reason : str
         What was expected and what was found; empty for an accepted frame.
+    left_out : str
+        Why the frame that was waiting is left out; empty when none is.
     """
 
     outcome: Outcome
     batch: FrameBatch | None = None
     reason: str = ''
+    left_out: str = ''
 
 
 class SlidingWindow:
@@ -92,6 +97,7 @@ class SlidingWindow:
         self._indices: deque[int] = deque(maxlen=length)
         self._intervals: deque[float] = deque(maxlen=max(length, 20))
         self._n_new = 0
+        self._waiting: tuple[NDArray, float, int] | None = None
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -120,10 +126,20 @@ class SlidingWindow:
             Kept as it is, not copied.
         stamp_s : float
             Time in seconds. A stamp that repeats, or that lies between the oldest and the newest
-            held one, is refused; an earlier one starts the window again (a looped recording).
+            held one, is refused; two earlier ones in turn start the window again (a looped
+            recording), a single one is left out.
         frame_index : int
             Number of the frame in its stream, larger than that of the frame before.
         """
+        waiting, self._waiting = self._waiting, None
+        intake = self._add(pixels, stamp_s, frame_index, waiting)
+        if waiting is None or intake.outcome is Outcome.JUMP_BACK:
+            return intake
+        return replace(intake, left_out=(
+            f'a frame stamped {waiting[1]:.6f} s between later ones is left out'))
+
+    def _add(self, pixels: NDArray, stamp_s: float, frame_index: int,
+             waiting: tuple[NDArray, float, int] | None) -> Intake:
         if not self._frames:
             return self._accept(Outcome.ACCEPTED, pixels, stamp_s, frame_index)
         newest, oldest = self._stamps[-1], self._stamps[0]
@@ -136,13 +152,19 @@ class SlidingWindow:
                       f'{_size(pixels.shape)}')
             return self._restart(Outcome.SIZE_CHANGE, reason, pixels, stamp_s, frame_index)
         if stamp_s < newest:
-            if stamp_s > oldest:
+            goes_on = waiting is not None and waiting[1] < stamp_s
+            if stamp_s > oldest and not goes_on:
                 return Intake(Outcome.REFUSED, reason=(
                     f'expected a stamp after {newest:.6f} s, found one '
                     f'{newest - stamp_s:.6f} s earlier'))
             reason = (f'expected a stamp after {newest:.6f} s, found a jump back by '
                       f'{newest - stamp_s:.6f} s')
-            return self._restart(Outcome.JUMP_BACK, reason, pixels, stamp_s, frame_index)
+            if waiting is None or not goes_on:
+                self._waiting = pixels, stamp_s, frame_index
+                return Intake(Outcome.WAITING, reason=reason)
+            first = self._restart(Outcome.JUMP_BACK, reason, *waiting)
+            second = self._accept(Outcome.JUMP_BACK, pixels, stamp_s, frame_index)
+            return replace(first, batch=second.batch or first.batch)
         longest = self._longest_gap()
         if longest is not None and stamp_s - newest > longest:
             reason = (f'expected a frame within {longest:.6g} s, found a gap of '

@@ -142,12 +142,37 @@ class TrackingPipeline:
         float
             The threshold on the statistic.
         """
+        self.compile(progress)
+        return self._detector.threshold(interval_s * np.arange(n_frames), shape, progress)
+
+    def compile(self, progress: Progress | None = None) -> None:
+        """Run every kernel once, on a target bright enough to pass through all stages."""
         if progress is not None:
             progress('compiling', 0.0)
-        self._compile(progress)
+        options = self._options.replace(
+            threshold=None if self._options.calibration == 'clutter' else 8.0,
+            psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None, variance=None,
+            mask=None, doppler_ambiguities=0, exposure_s=min(self._options.exposure_s, 1.0))
+        # Where columns go round a wide PSF needs as many.
+        width = max(24, 2 * psf_of(options).half_width + 1)
+        frames = np.random.default_rng(0).standard_normal((8, 24, width)).astype(np.float32)
+        frames[:, 10:13, 10:13] += 8
+        if options.amplitudes == 'complex':
+            frames = frames.astype(np.complex64)
+        batch = FrameBatch.of(frames, np.arange(8.0))
+        # Either compiles what constant does, and what fluctuating does.
+        kinds = {'either': ('fluctuating', 'constant')}.get(
+            options.amplitude_model, (options.amplitude_model,))
+        detectors = [make_detector(options.replace(amplitude_model=kind)) for kind in kinds]
+        for detector in detectors:
+            detector.detect(batch)
+        if progress is not None:
+            progress('compiling', 0.5)
+        frames[:, 0, 0] = np.nan
+        for detector in detectors:
+            detector.detect(batch)
         if progress is not None:
             progress('compiling', 1.0)
-        return self._detector.threshold(interval_s * np.arange(n_frames), shape, progress)
 
     def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of a batch.
@@ -255,31 +280,6 @@ class TrackingPipeline:
             wanted.append('noise=robust')
         return f'set {" and ".join(wanted) or "noise=map, or a larger threshold"}'
 
-    def _compile(self, progress: Progress | None) -> None:
-        """Run every kernel once, on a target bright enough to pass through all stages."""
-        # Either compiles what constant does, and what fluctuating does.
-        kinds = {'either': ('fluctuating', 'constant')}.get(
-            self._options.amplitude_model, (self._options.amplitude_model,))
-        options = self._options.replace(
-            threshold=8.0, psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None,
-            variance=None, mask=None, doppler_ambiguities=0,
-            exposure_s=min(self._options.exposure_s, 1.0))
-        # Where columns go round a wide PSF needs as many.
-        width = max(24, 2 * psf_of(options).half_width + 1)
-        frames = np.random.default_rng(0).standard_normal((8, 24, width)).astype(np.float32)
-        frames[:, 10:13, 10:13] += 8
-        if options.amplitudes == 'complex':
-            frames = frames.astype(np.complex64)
-        batch = FrameBatch.of(frames, np.arange(8.0))
-        detectors = [make_detector(options.replace(amplitude_model=kind)) for kind in kinds]
-        for detector in detectors:
-            detector.detect(batch)
-        if progress is not None:
-            progress('compiling', 0.5)
-        frames[:, 0, 0] = np.nan
-        for detector in detectors:
-            detector.detect(batch)
-
 
 def _middle_and_spread(frame: NDArray) -> tuple[float, float]:
     """Return the median and the robust deviation of pixels, of the real part of complex ones."""
@@ -290,6 +290,7 @@ def _middle_and_spread(frame: NDArray) -> tuple[float, float]:
         pixels = pixels.real * 2**0.5
     middle = float(np.median(pixels))
     return middle, median_deviation(pixels - middle)
+
 
 
 def _check(batch: FrameBatch) -> None:

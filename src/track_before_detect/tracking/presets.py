@@ -6,18 +6,22 @@ What the user tells always wins, option by option.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from track_before_detect.capabilities import check_options
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.amplitude_scale import recognised_scale
 from track_before_detect.preprocess.registration import register
 from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
+
+if TYPE_CHECKING:
+    from track_before_detect.tracking.recording import FrameSequence
 
 AUTO, NONE = 'auto', 'none'
 # Frames that are looked at.
@@ -89,6 +93,9 @@ def choose_options(preset: str, told: Mapping[str, Any], frames: NDArray) -> Cho
         chosen, reasons = PRESETS[preset], []
     if 'batch_length' in told:
         chosen = {name: value for name, value in chosen.items() if name != 'hop'}
+    elif told.get('hop') is not None and 'batch_length' in chosen:
+        hop = DetectorOptions(hop=told['hop']).hop or 1
+        chosen = {**chosen, 'batch_length': max(chosen['batch_length'], hop)}
     unable = told.get('detector', 'convex') != 'convex' or any(
         told.get(name, value) != value for name, value in _CLUTTER_ASKS.items())
     if unable and chosen.get('calibration') == 'clutter':
@@ -104,6 +111,14 @@ _CLUTTER_ASKS = {'presence': 'full', 'amplitude_model': 'fluctuating', 'threshol
                  'motion_model': 'nearly_constant_velocity', 'calibration': 'clutter'}
 _WITHOUT_CLUTTER = {'calibration': 'noise', 'noise': 'robust', 'background': 'temporal_median',
                     'amplitudes': 'non-negative', 'batch_length': 20, 'hop': 10}
+
+
+def choose_for(recording: FrameSequence, preset: str, told: Mapping[str, Any]) -> Choice:
+    """Return the options of a preset for a recording; see :func:`choose_options`."""
+    seen = np.stack([recording[i] for i in range(min(FRAMES_SEEN, len(recording)))])
+    choice = choose_options(preset, told, seen)
+    check_options(choice.options)
+    return choice
 
 
 def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:

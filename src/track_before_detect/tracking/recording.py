@@ -95,7 +95,8 @@ def _batch(held: Iterable[tuple[int, NDArray]], stamps: NDArray[np.float64]) -> 
 def detect_recording(recording: FrameSequence, options: DetectorOptions,
                      progress: Progress | None = None,
                      pipeline: BatchPipeline | None = None,
-                     observe: Observer | None = None) -> DetectionResult:
+                     observe: Observer | None = None,
+                     reasons: Sequence[str] = ()) -> DetectionResult:
     """Find all trajectories of a recording.
 
     Parameters
@@ -110,6 +111,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         Searches the batches; that of a single sensor unless given.
     observe : callable, optional
         Shown each batch of a single sensor, as :class:`TrackingPipeline` does.
+    reasons : sequence of str
+        Why the options are these, the first remarks of the result.
 
     Returns
     -------
@@ -177,7 +180,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     # Candidates that carry a trajectory on are parts of it.
     carried = {id(one.positions) for _, result in searched for one in result.trajectories}
     return DetectionResult(joined.trajectories(), threshold, ranks[rank], history, gap,
-                           best_statistic, n_searched, remarks,
+                           best_statistic, n_searched, [*reasons, *remarks],
                            [one for _, result in searched for one in result.rejected
                             if id(one.positions) not in carried])
 

@@ -34,7 +34,7 @@ from track_before_detect.solvers.search.path_search import FoundPath
 from track_before_detect.types import Progress, Step
 
 BELOW = 'below the threshold'
-# Reasons that say nothing against a candidate that carries on a trajectory of a neighbouring batch.
+# Reasons that say nothing against a candidate that carries on a trajectory of the batch beside.
 MAY_CARRY_ON = (BELOW, ON_BORDER, IN_ONE_FRAME)
 # Reason of the strongest path where no other is a candidate.
 FAR_BELOW = 'far below the threshold'
