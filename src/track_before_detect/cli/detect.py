@@ -54,11 +54,12 @@ MOST_LISTED, MOST_BELOW = 20, 20
 
 _EXAMPLES = """\
 examples:
-  a recording whose noise level is not known (most cameras):
-    tbd detect flight.npz --set noise=robust --set background=temporal_median
-  a camera that moves, targets of up to 3 pixels per frame at 25 frames per second:
-    tbd detect pan.npz --set registration=translation --set max_speed_px_s=75 \\
-        --set background=temporal_median --set noise=map
+  a recording of a camera or a radar, as it is:
+    tbd detect flight.mp4
+  the same with candidates that are no target, each with its reason:
+    tbd detect flight.mp4 --explain
+  targets of up to 8 pixels per frame at 25 frames per second, 2 pixels wide:
+    tbd detect pan.npz --set max_speed_px_s=200 --set psf_sigma_px=1
   a folder of images taken at 25 frames per second, and many recordings at once:
     tbd detect frames/ --fps 25
     tbd detect 'flights/*.mp4' night.npz --output results

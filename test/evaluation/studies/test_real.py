@@ -10,11 +10,15 @@ from track_before_detect.errors import DataError
 from track_before_detect.evaluation.engine.report import write_suite_result
 from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.studies.real import runs as real_runs
-from track_before_detect.evaluation.studies.real.methods import METHODS, options_at
+from track_before_detect.evaluation.studies.real.methods import METHODS, options_of
 from track_before_detect.evaluation.studies.real.suite import run_real
 
 OURS = {'threshold': 20.0, 'batch_length': 8, 'hop': 4}
 N_FRAMES = 12
+
+
+class Frames(list):
+    stamps = np.arange(20.0)
 
 
 @pytest.fixture(scope='module')
@@ -35,16 +39,18 @@ def item(folder, **changes):
             'snr': None, 'seed': 0, 'time_limit_s': 300.0, **changes}
 
 
-def test_limits_of_motion_per_frame_follow_the_rate():
-    options = options_at({'max_speed_px_frame': 4.0, 'max_acceleration_px_frame2': 0.16}, 0.04)
-    assert options.max_speed_px_s == pytest.approx(100)
-    assert options.max_acceleration_px_s2 == pytest.approx(100)
-    assert options_at({}, 0.04) == options_at({}, 1.0)
-
-
 def test_every_method_has_options_that_can_be_used():
-    for method in METHODS.values():
-        assert options_at(method, 1 / 30).detector == 'convex'
+    rng = np.random.default_rng(0)
+    for frames in (rng.normal(size=(20, 40, 50)), 8000 + 20 * rng.normal(size=(20, 40, 50))):
+        for method in METHODS.values():
+            assert options_of(method, Frames(frames)).detector == 'convex'
+
+
+def test_options_of_a_method_override_those_of_its_preset():
+    pedestal = Frames(8000 + 20 * np.random.default_rng(0).normal(size=(20, 40, 50)))
+    assert options_of({'preset': 'auto'}, pedestal).calibration == 'clutter'
+    assert options_of({'preset': 'auto', 'calibration': 'noise'}, pedestal).noise == 'robust'
+    assert options_of({}, pedestal).noise == 'none'
 
 
 def test_a_bright_target_is_followed(folder):

@@ -27,7 +27,7 @@ from track_before_detect.evaluation.studies.real.labelled import (
     LabelledRecording,
 )
 from track_before_detect.evaluation.studies.real.measures import measure_tracks, RealMeasures
-from track_before_detect.evaluation.studies.real.methods import options_at
+from track_before_detect.evaluation.studies.real.methods import options_of
 from track_before_detect.evaluation.studies.real.peers.registry import peer_named
 from track_before_detect.parallel import at_most_cores, usable_cores
 from track_before_detect.tracking.pipeline import TrackingPipeline
@@ -106,7 +106,7 @@ def _found(item: Mapping[str, Any], labelled: LabelledRecording, frames: FrameSe
         tracks, status = find_tracks(frames), 'done'
         n_batches = 1 + max(0, math.ceil((n_frames - PEER_BATCH) / PEER_HOP))
     else:
-        options = options_at(item['options'], interval)
+        options = options_of(item['options'], frames)
         pipeline = TrackingPipeline(options)
         pipeline.warm_up(
             recording.shape, interval, min(options.batch_length or n_frames, n_frames))
