@@ -6,7 +6,7 @@ import logging
 import numpy as np
 import pytest
 
-from kinds import KINDS, Variant
+from scenes.kinds import KINDS, Variant
 from track_before_detect.cli import main
 
 VARIANTS = (
