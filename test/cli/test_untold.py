@@ -63,6 +63,5 @@ def test_the_target_is_the_one_trajectory(tmp_path, kind, variant):
 
 @pytest.mark.parametrize('kind', list(KINDS))
 def test_hardly_anything_is_found_without_a_target(tmp_path, kind):
-    found = sum(len(found_in(tmp_path, KINDS[kind](variant, False))) for variant in VARIANTS)
-    # Asked for is one in twenty of about thirty batches.
-    assert found <= 1
+    # Asked for is one in twenty of about ten batches.
+    assert len(found_in(tmp_path, KINDS[kind](VARIANTS[0], False))) <= 1
