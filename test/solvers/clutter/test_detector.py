@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from residuals import add_target, residual
+from scenes.residuals import add_target, residual
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.clutter.detector import BELOW, ClutterDetector
 from track_before_detect.types import FrameBatch
