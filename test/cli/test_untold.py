@@ -14,15 +14,6 @@ VARIANTS = (
     Variant(seed=102, shape=(128, 64), fps=9, snr=6, level=12000, gain=60),
     Variant(seed=103, shape=(96, 80), fps=50, snr=4.5, level=900, gain=7),
 )
-NOT_YET = {
-    'telemetry': 'rows of counters are not recognised',
-    'decibels': 'the downward tail of decibels is not taken off',
-}
-FAINT = {
-    ('photons', 101): 'the noise level of the bright half is taken for that of the dark half',
-    ('photons', 103): 'the noise level of the bright half is taken for that of the dark half',
-    ('shaking', 103): 'SNR 4.5, of which registration and the median leave 3',
-}
 
 
 @pytest.fixture(autouse=True)
@@ -43,15 +34,8 @@ def found_in(folder, recording):
     return [np.array(rows) for rows in trajectories.values()]
 
 
-def with_reasons():
-    for kind in KINDS:
-        for variant in VARIANTS:
-            reason = NOT_YET.get(kind) or FAINT.get((kind, variant.seed))
-            marks = [pytest.mark.xfail(strict=True, reason=reason)] if reason else []
-            yield pytest.param(kind, variant, marks=marks, id=f'{kind}-{variant.seed}')
-
-
-@pytest.mark.parametrize(('kind', 'variant'), list(with_reasons()))
+@pytest.mark.parametrize('kind', list(KINDS))
+@pytest.mark.parametrize('variant', VARIANTS, ids=lambda variant: variant.seed)
 def test_the_target_is_the_one_trajectory(tmp_path, kind, variant):
     recording = KINDS[kind](variant, True)
     [rows] = found_in(tmp_path, recording)
