@@ -9,10 +9,7 @@ from track_before_detect.tracking.presets import choose_for, NONE
 from track_before_detect.tracking.recording import FrameSequence
 
 # Presets, and options that override theirs.
-METHODS: dict[str, Mapping[str, Any]] = {
-    'auto': {'preset': 'auto'},
-    'auto, threshold from noise': {'preset': 'auto', 'calibration': 'noise', 'max_time_s': 10.0},
-}
+METHODS: dict[str, Mapping[str, Any]] = {'auto': {'preset': 'auto'}}
 
 
 def methods_and_peers() -> dict[str, Mapping[str, Any] | None]:
