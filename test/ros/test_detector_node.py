@@ -165,10 +165,10 @@ def test_a_shaking_scene_is_recognised_untold_and_its_target_is_the_only_track(l
     frames, positions = shaking_scene(30)
     send(station, publisher, frames)
     # Its loops may have to be compiled first.
-    station.wait_until(lambda: len(clouds) == 5, 'five clouds', 4 * TIMEOUT_S)
-    found = station.wait_for_diagnostics(state='ready', batches=5, preset='auto')
+    station.wait_until(lambda: len(clouds) == 3, 'three clouds', 4 * TIMEOUT_S)
+    found = station.wait_for_diagnostics(state='ready', batches=3, preset='auto')
     assert 'registration=translation' in found['options']
-    assert 'batch_length=10, hop=5' in found['options']
+    assert 'batch_length=16, hop=8' in found['options']
     assert 'the picture moves by' in found['reasons']
     for line in found['reasons'].split('; '):
         assert detector.output.count(f'preset auto: {line}') == 1
