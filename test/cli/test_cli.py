@@ -118,8 +118,7 @@ def test_detect_says_and_writes_which_frame_is_left_out(tmp_path, caplog):
     run('detect', tmp_path / 'a.npz', '--output', tmp_path / 'out', '--set', 'threshold=9',
         '--preset', 'none')
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
-    looked, remark = summary['remarks']
-    assert 'white noise of deviation 1' in looked
+    [remark] = summary['remarks']
     assert 'frame 3 is left out' in remark and remark in caplog.text
     assert summary['median_interval_s'] == 1
 
@@ -137,8 +136,7 @@ def test_detect_writes_all_files_and_prints_a_table(recording_file, stand_in, tm
     assert summary['options'] == json.loads(json.dumps(dataclasses.asdict(stand_in.options)))
     assert (summary['threshold'], summary['status'], summary['gap']) == (8.5, 'converged', None)
     assert (summary['n_frames'], summary['n_trajectories']) == (6, 2)
-    assert summary['remarks'] == [
-        'the frames are white noise of deviation 1: taken as they are']
+    assert summary['remarks'] == []
 
 
 def npz(path, n_frames=6, **arrays):
@@ -449,7 +447,7 @@ def test_frames_that_are_no_noise_end_with_what_to_set(tmp_path, capsys):
     frames = 8000 + 20 * np.random.default_rng(0).standard_normal((20, 48, 48))
     np.savez(tmp_path / 'a.npz', frames=frames)
     assert run('detect', tmp_path / 'a.npz', '--no-overlay', '--output', tmp_path / 'out',
-               '--set', 'noise=robust') == 3
+               '--preset', 'none', '--set', 'noise=robust') == 3
     printed = capsys.readouterr().out
     assert 'status not_noise' in printed and 'set background=temporal_median' in printed
     assert json.loads((tmp_path / 'out' / 'summary.json').read_text())['status'] == 'not_noise'
@@ -459,18 +457,20 @@ def test_the_time_of_a_batch_is_limited_in_words(tmp_path, capsys):
     frames = 2.2 * np.random.default_rng(0).standard_normal((20, 64, 64))
     np.savez(tmp_path / 'a.npz', frames=frames)
     run('detect', tmp_path / 'a.npz', '--no-overlay', '--output', tmp_path / 'out',
-        '--set', 'threshold=9', '--set', 'max_time_s=0.3')
+        '--preset', 'none', '--set', 'threshold=9', '--set', 'max_time_s=0.3')
     assert 'status time_limit: left when max_time_s was up' in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(('number', 'code'), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
 def test_a_long_search_is_left_at_once(tmp_path, number, code):
-    frames = 2.2 * np.random.default_rng(0).standard_normal((40, 128, 128))
+    # Half of the noise passes here and there, so that it is no matter of a short look.
+    frames = 2.2 * np.random.default_rng(0).standard_normal((20, 192, 192))
     np.savez(tmp_path / 'a.npz', frames=frames.astype(np.float32))
     program = 'import sys; from track_before_detect.cli import main; sys.exit(main())'
     search = subprocess.Popen(
         [sys.executable, '-c', program, 'detect', str(tmp_path / 'a.npz'), '--no-overlay',
-         '--set', 'threshold=9', '--set', 'max_time_s=60', '--output', str(tmp_path / 'out')],
+         '--preset', 'none', '--set', 'threshold=9', '--set', 'max_time_s=60',
+         '--output', str(tmp_path / 'out')],
         stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler))
     try:
