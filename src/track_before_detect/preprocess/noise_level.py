@@ -63,7 +63,9 @@ def local_level(frames: NDArray, floor: float, width_px: float) -> NDArray:
         return outer - inner
 
     # A quarter of the pixels tells the level of a frame well enough.
-    whole = np.fmax(frame_level(frames[:, ::2, ::2], floor), floor)
+    whole = frame_level(frames[:, ::2, ::2], floor)
+    if np.isnan(whole).any():
+        whole = frame_level(frames, floor)
     level = np.broadcast_to(whole, frames.shape).astype(np.float32)
     everywhere = ring_sum(np.ones(frames.shape[1:], np.float32))
     for frame, around in zip(frames, level, strict=True):
