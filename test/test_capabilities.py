@@ -71,7 +71,8 @@ CASES = {
                      for name in ('translation', 'affine', 'homography')],
     'background': [Case(name, {'threshold': 13.0}, 'panning') for name in (
         'temporal_median', 'spatial_median', 'temporal_spatial_median', 'either')],
-    'search_plane': [Case('image', {'registration': 'translation', 'threshold': 13.0}, 'panning')],
+    'search_plane': [Case('image', {'registration': 'affine', 'threshold': None,
+                                    'false_alarm_rate': 0.4}, 'panning')],
     'noise': [Case('robust'), Case('map'), Case('local')],
     'calibration': [Case('clutter', {'threshold': None})],
     'variance': [Case(1.0 + np.arange(SHAPE[0] * SHAPE[1]).reshape(SHAPE) / 500)],
@@ -256,6 +257,7 @@ WITHOUT = [
     ('psf_sigma_px', {'psf': CASES['psf'][0].value}),
     ('psf_model', {'psf': CASES['psf'][0].value}),
     ('false_alarm_rate', {'threshold': 9.0}),
+    ('search_plane', {'registration': 'none'}),
     ('max_speed_px_s', {'motion_model': 'static'}),
     ('max_acceleration_px_s2', {'motion_model': 'static'}),
     ('max_acceleration_px_s2', {'motion_model': 'constant_velocity'})]

@@ -176,7 +176,7 @@ def test_thirty_frames_a_second_of_128_x_128_with_hop_10_are_kept_up_with(launch
     station.listen(DiagnosticArray, '/diagnostics')
     detector = launch(
         'detector', '-p', 'frame_height:=128', '-p', 'frame_width:=128', '-p',
-        'frame_rate_hz:=30.0', '-p', 'hop:=10')
+        'frame_rate_hz:=30.0', '-p', 'hop:=10', '-p', 'preset:=none')
     detector.wait_for_line(r'ready: .*threshold', timeout_s=300.0)
     launch('frame_publisher', '-p', 'rate_hz:=30.0', '-p', 'loop:=true', '-p',
            'wait_for_subscriber:=true')

@@ -40,8 +40,8 @@ def test_a_closed_queue_has_no_more_work(waiting):
 
 @pytest.mark.parametrize(('preset', 'told', 'batch_length', 'hop', 'queue_length'), [
     ('none', {}, 20, 10, 40), ('auto', {}, 20, 10, 40), ('none', {'batch_length': 7}, 7, 3, 14),
-    ('eoir_static', {}, 10, 5, 20), ('eoir_static', {'hop': 2}, 10, 2, 20),
-    ('eoir_static', {'batch_length': 8}, 8, 4, 16), ('eoir_static', {'hop': 15}, 15, 15, 30),
+    ('eoir_static', {}, 16, 8, 32), ('eoir_static', {'hop': 2}, 16, 2, 32),
+    ('eoir_static', {'batch_length': 8}, 8, 4, 16), ('eoir_static', {'hop': 18}, 18, 18, 36),
 ])
 def test_what_was_told_of_the_batches_wins_and_the_rest_follows(
         preset, told, batch_length, hop, queue_length):

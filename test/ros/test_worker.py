@@ -139,13 +139,13 @@ def test_a_scene_is_looked_at_and_its_frames_are_searched_in_the_batches_chosen(
     assert stream.status.state == 'looking at the first frames'
     assert stream.status.detail == '19 of 20'
     assert not stream.queue.counters.batches
-    feed(stream, 0.1 * np.arange(19, 25), (24, 32), scene)
-    wait_for_batches(stream, 4)
+    feed(stream, 0.1 * np.arange(19, 32), (24, 32), scene)
+    wait_for_batches(stream, 3)
     assert stream.status.options.background != 'none'
-    assert stream.status.options.batch_length == 10
+    assert stream.status.options.batch_length == 16
     assert stream.status.state == 'ready' and stream.status.preset == 'auto'
-    assert [r.batch.frame_indices[0] for r in stream.results] == [0, 5, 10, 15]
-    assert {(len(r.batch), r.hop) for r in stream.results} == {(10, 5)}
+    assert [r.batch.frame_indices[0] for r in stream.results] == [0, 8, 16]
+    assert {(len(r.batch), r.hop) for r in stream.results} == {(16, 8)}
     assert stream.choices == [stream.status.reasons] and stream.choices[0]
 
 
@@ -192,20 +192,20 @@ def test_the_first_frames_of_a_short_stream_are_searched_when_asked_for(start):
     stream = start('auto', {})
     feed(stream, 0.1 * np.arange(13), (24, 32), scene)
     stream.queue.flush()
-    wait_for_batches(stream, 2)
-    assert [r.batch.frame_indices[-1] for r in stream.results] == [9, 12]
+    wait_for_batches(stream, 1)
+    assert [r.batch.frame_indices[-1] for r in stream.results] == [12]
 
 
 def test_a_preset_that_is_changed_holds_from_the_next_batch_on(start):
     stream = start('auto', {})
-    feed(stream, 0.1 * np.arange(20), (24, 32), scene)
-    wait_for_batches(stream, 3)
+    feed(stream, 0.1 * np.arange(24), (24, 32), scene)
+    wait_for_batches(stream, 2)
     stream.queue.configure(StreamRequest('none', PLAIN, queue_length=100))
-    feed(stream, 2 + 0.1 * np.arange(4), (24, 32), scene)
-    wait_for_batches(stream, 4)
+    feed(stream, 2.4 + 0.1 * np.arange(4), (24, 32), scene)
+    wait_for_batches(stream, 3)
     assert stream.status.options.background == 'none' and len(stream.results[-1].batch) == 4
     # The first frames are known by now.
     stream.queue.configure(StreamRequest('auto', PLAIN, queue_length=100))
-    feed(stream, 2.4 + 0.1 * np.arange(4), (24, 32), scene)
-    wait_for_batches(stream, 5)
+    feed(stream, 2.8 + 0.1 * np.arange(4), (24, 32), scene)
+    wait_for_batches(stream, 4)
     assert stream.status.options.background != 'none' and len(stream.results[-1].batch) == 4

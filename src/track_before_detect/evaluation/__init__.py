@@ -8,10 +8,10 @@ distribution of its own. These are the doors of the rest that it goes through:
 - for everything: ``atomic_files``, ``errors``, ``options``, ``parallel``, ``types``,
   ``recordings.result_files``;
 - recordings with truth: ``recordings.images``, ``recordings.open_recording``,
-  ``recordings.read_errors``, ``recordings.recording``, ``recordings.video``,
-  ``tracking.recording``;
+  ``recordings.overlay``, ``recordings.read_errors``, ``recordings.recording``,
+  ``recordings.video``, ``tracking.recording``;
 - scenes: ``simulation.motions``, ``simulation.scenarios``, ``simulation.sensor``;
-- detectors: ``tracking.pipeline``, ``solvers.batch_detector``,
+- detectors: ``tracking.pipeline``, ``tracking.presets``, ``solvers.batch_detector``,
   ``solvers.calibration.noise_study``;
 - the methods of the papers, whose parts are measured: ``models.motion.transition_sets``,
   ``models.motion.velocity_candidates``, ``solvers.cancellation.mt_dp``,

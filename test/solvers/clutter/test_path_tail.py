@@ -14,7 +14,7 @@ def test_strongest_of_exponential_paths_passes_as_rarely_as_asked(rate, n_places
     rng = np.random.default_rng([7, n_places])
     passed = 0
     for _ in range(DRAWS):
-        strongest, *others = np.sort(5 + 2 * rng.exponential(size=62))[::-1]
+        strongest, *others = np.sqrt(np.sort(25 + 8 * rng.exponential(size=62))[::-1])
         passed += strongest > path_tail(others, n_places).threshold(rate)
     spread = np.sqrt(rate * (1 - rate) / DRAWS)
     # Three deviations of the count; the formula is exact to a tenth.
@@ -22,10 +22,11 @@ def test_strongest_of_exponential_paths_passes_as_rarely_as_asked(rate, n_places
 
 
 def test_rate_does_not_depend_on_level_and_size_of_the_statistics():
-    others = np.random.default_rng(3).exponential(size=62)
+    squares = np.random.default_rng(3).exponential(size=62)
     for rate in (0.01, 0.3):
-        plain = path_tail(others, 300).threshold(rate)
-        assert path_tail(40 + 9 * others, 300).threshold(rate) == pytest.approx(40 + 9 * plain)
+        plain = path_tail(np.sqrt(squares), 300).threshold(rate)**2
+        other = path_tail(np.sqrt(40 + 9 * squares), 300).threshold(rate)**2
+        assert other == pytest.approx(40 + 9 * plain)
 
 
 def test_smaller_share_of_the_frame_asks_less_and_a_smaller_rate_more():
@@ -35,11 +36,11 @@ def test_smaller_share_of_the_frame_asks_less_and_a_smaller_rate_more():
     assert shares[0] > shares[1]
     assert tail.threshold(0.01) > tail.threshold(0.05) > tail.threshold(0.2)
     # A place so small that hardly any path comes to it: not below what the others begin at.
-    assert tail.threshold(0.05, 1e-9) == tail.start
+    assert tail.threshold(0.05, 1e-9) == pytest.approx(np.sqrt(tail.start))
 
 
 def test_fewer_paths_ask_more_for_what_they_do_not_tell():
-    excesses = [PathTail(0.0, 1.0, count).threshold(0.05) - np.log(count + 1)
+    excesses = [PathTail(0.0, 1.0, count).threshold(0.05)**2 - np.log(count + 1)
                 for count in (2, 5, 10, 20, 40)]
     assert excesses == sorted(excesses, reverse=True)
     assert excesses[0] > 2 * excesses[-1]
@@ -51,13 +52,14 @@ def test_more_places_reach_further_in_until_clutter_differs():
     counts = [path_tail(statistics, places).count for places in (1, 16, 80, 200, 320, 9000)]
     assert counts == [2, 2, 10, 25, 40, 40]
     tail = path_tail(statistics[::-1], 80)
-    assert tail.start == pytest.approx(statistics[10])
-    assert tail.scale == pytest.approx(np.mean(statistics[:10] - statistics[10]))
+    squares = statistics**2
+    assert tail.start == pytest.approx(squares[10])
+    assert tail.scale == pytest.approx(np.mean(squares[:10] - squares[10]))
 
 
 def test_more_paths_of_the_same_tail_ask_more_of_the_strongest():
     rng = np.random.default_rng(11)
-    few, many = (np.mean([path_tail(rng.exponential(size=n), 320).threshold(0.05)
+    few, many = (np.mean([path_tail(np.sqrt(rng.exponential(size=n)), 320).threshold(0.05)**2
                           for _ in range(300)]) for n in (80, 640))
     assert many - few == pytest.approx(np.log(640 / 80), abs=0.2)
 

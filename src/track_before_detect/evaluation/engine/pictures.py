@@ -5,14 +5,14 @@ from typing import Any
 
 from numpy.typing import ArrayLike, NDArray
 
-from track_before_detect.recordings import overlay
+from track_before_detect.recordings.overlay import new_figure as empty_figure
 
 BLUE, GREEN, GREY, RED = '#1f77b4', '#2ca02c', '#8c8c8c', '#d62728'
 
 
 def new_figure() -> Any:
     """Return an empty matplotlib figure, or say how to install matplotlib."""
-    return overlay.new_figure(11, 4.5, 'the picture of a suite')
+    return empty_figure(11, 4.5, 'the picture of a suite')
 
 
 def tidy(panels: Iterable[Any], grid: bool = True) -> None:

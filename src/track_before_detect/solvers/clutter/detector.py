@@ -42,7 +42,9 @@ FAR_BELOW = 'far below the threshold'
 # least, both in widths of the PSF.
 SEPARATION = 5.0
 # Paths looked at in each search.
-N_PATHS = 45
+N_PATHS = 80
+# Share of the frames in which two paths are near each other and count as one in the tail.
+TOUCHING = 0.2
 # Paths whose positions are refined to find the strongest.
 N_REFINED = 3
 # Trajectories after which a batch is left.
@@ -88,6 +90,7 @@ class ClutterDetector(PathDetector):
             others = self._strongest(task, frames)
             if not others:
                 # Nothing is left of the frames that it could be compared with.
+                status = 'converged'
                 break
             tail = self._tail(others, frames.shape[1:])
             level, least = tail.threshold(rate), tail.threshold(rate, min(float(share), 1.0))
@@ -123,9 +126,16 @@ class ClutterDetector(PathDetector):
         return found
 
     def _tail(self, paths: list[FoundPath], shape: tuple[int, ...]) -> PathTail:
-        n_places = np.prod(shape) / (SEPARATION * self.measurement.width_px) ** 2
-        statistics = [self.scale.statistic(path.value, len(path.positions)) for path in paths]
-        return path_tail([*statistics, 0.0, 0.0, 0.0], float(n_places))
+        reach = SEPARATION * self.measurement.width_px
+        apart: list[FoundPath] = []
+        for path in paths:
+            # Paths that touch a stronger one on their way owe it what they have.
+            if not any(np.mean(np.hypot(*(path.positions - other.positions).T) < reach) > TOUCHING
+                       for other in apart):
+                apart.append(path)
+        statistics = [self.scale.statistic(path.value, len(path.positions)) for path in apart]
+        return path_tail([*statistics, *[0.0] * max(3 - len(statistics), 0)],
+                         float(np.prod(shape) / reach**2))
 
     def _set_aside(self, frames: NDArray, positions: NDArray) -> None:
         """Take the pixels of a path out of the frames, the whole of a wide target."""

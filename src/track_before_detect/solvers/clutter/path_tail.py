@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+import math
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,12 +16,14 @@ PLACES = 8
 
 @dataclass(frozen=True)
 class PathTail:
-    """Statistics of separate paths, exponential beyond a start.
+    """Squared statistics of separate paths, exponential beyond a start.
+
+    The square of a statistic has the tail nearest to an exponential, as in noise.
 
     Attributes
     ----------
     start : float
-        Statistic at which the tail begins.
+        Square at which the tail begins.
     scale : float
         Mean excess over the start of the paths beyond.
     count : int
@@ -45,7 +48,7 @@ class PathTail:
             Of the frame, in which it is to hold.
         """
         beyond = ((self.count + 1) * share / rate) ** (1 / self.count) - 1
-        return self.start + self.scale * self.count * max(beyond, 0.0)
+        return math.sqrt(self.start + self.scale * self.count * max(beyond, 0.0))
 
 
 def path_tail(statistics: ArrayLike, n_places: float) -> PathTail:
@@ -58,7 +61,7 @@ def path_tail(statistics: ArrayLike, n_places: float) -> PathTail:
     n_places : float
         Separate places at which a path can be.
     """
-    ordered = np.sort(np.asarray(statistics, float))[::-1]
+    ordered = np.sort(np.asarray(statistics, float) ** 2)[::-1]
     count = int(np.clip(round(n_places / PLACES), 2, min(MOST_PATHS, len(ordered) - 1)))
     start = float(ordered[count])
     return PathTail(start, float(np.mean(ordered[:count])) - start, count)
