@@ -96,7 +96,7 @@ def inspected(frames, **options):
     recording = Recording('a', frames.shape[1:], frames.dtype, len(frames), Frames(frames))
     result = detect_recording(recording, settings, observe=observed)
     observed.add_motion_of_the_scene()
-    return observed, findings(observed, result, recording.stamps)
+    return observed, findings(observed, result, len(recording))
 
 
 class Frames:

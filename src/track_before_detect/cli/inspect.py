@@ -62,7 +62,7 @@ def run(arguments: Namespace) -> int:
         result, _ = search(recording, arguments.preset, told, observe=observed)
         observed.add_motion_of_the_scene()
         rejected = numbered(result)
-        wrong = findings(observed, result, recording.stamps)
+        wrong = findings(observed, result, len(recording))
         drawn = panels(observed, result.trajectories, rejected,
                        psf_of(observed.options).width_px)
         images = []

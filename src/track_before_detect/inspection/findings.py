@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from track_before_detect.inspection.observation import Observation
 from track_before_detect.options import DetectorOptions
-from track_before_detect.solvers.batch_detector import max_speed
-from track_before_detect.timestamps import increasing_frames
+from track_before_detect.solvers.batch_detector import searched_speed
 from track_before_detect.types import DetectionResult
 
 # Agreement of neighbouring pixels, or of a pixel with itself a frame later, that is not white.
@@ -25,7 +23,7 @@ MOVING_PX = 0.2
 NEAR_LIMIT = 0.95
 
 
-def findings(observed: Observation, result: DetectionResult, stamps: NDArray) -> list[str]:
+def findings(observed: Observation, result: DetectionResult, n_frames: int) -> list[str]:
     """Return a sentence for each thing that looks wrong.
 
     Parameters
@@ -34,13 +32,13 @@ def findings(observed: Observation, result: DetectionResult, stamps: NDArray) ->
         Of a whole search, with the motion of the scene.
     result : DetectionResult
         What was found.
-    stamps : array, shape (T,)
-        Of the frames of the recording, in seconds.
+    n_frames : int
+        Frames of the recording.
     """
     options = observed.options
-    return [*_frames(observed, options, len(stamps)), *_scale(observed, options),
+    return [*_frames(observed, options, n_frames), *_scale(observed, options),
             *_whiteness(observed, options), *_motion(observed, options),
-            *_found(observed, result, options, stamps)]
+            *_found(observed, result, options)]
 
 
 def _frames(observed: Observation, options: DetectorOptions, n_frames: int) -> list[str]:
@@ -125,8 +123,8 @@ def _motion(observed: Observation, options: DetectorOptions) -> list[str]:
     return []
 
 
-def _found(observed: Observation, result: DetectionResult, options: DetectorOptions,
-           stamps: NDArray) -> list[str]:
+def _found(observed: Observation, result: DetectionResult,
+           options: DetectorOptions) -> list[str]:
     at, strongest = observed.strongest()
     n_found = len(result.trajectories)
     words = []
@@ -153,7 +151,8 @@ def _found(observed: Observation, result: DetectionResult, options: DetectorOpti
             f'{n_found} trajectories in {result.n_batches} '
             f'batch{"es" if result.n_batches > 1 else ""} are hardly all targets. Try '
             'noise=local and calibration=clutter, which compare paths with their surroundings.')
-    limit = max_speed(options, stamps[increasing_frames(stamps)])
+    batch = observed.views[0].batch
+    limit = searched_speed(options, batch.stamps, batch.frames.shape[1:])
     speeds = [np.nanmedian(np.hypot(*one.velocity.T)) for one in result.trajectories
               if np.isfinite(one.velocity).any()]
     if options.search_plane == 'image' or options.registration == 'none':
