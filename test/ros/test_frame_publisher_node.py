@@ -157,6 +157,8 @@ def test_both_nodes_together_use_every_frame_and_find_the_target(
         'detector', '-p', 'threshold:=12.0', '-p', 'frame_height:=32', '-p', 'frame_width:=40',
         '-p', 'frame_rate_hz:=25.0')
     detector.wait_for_line(r'ready: .*threshold')
+    # A node that is ready at once may publish before it knows who listens.
+    station.wait_for_diagnostics(state='ready')
     publisher = launch(
         'frame_publisher', '-p', f'input:={tmp_path / "target.npz"}', '-p',
         'original_stamps:=true')
