@@ -183,9 +183,7 @@ def test_every_option_changes_something_or_is_refused(detector, option, case):
 
 
 @pytest.mark.parametrize(('detector', 'option', 'case'), [
-    pair for pair in PAIRS if pair.values[0] in ('convex', 'greedy')
-    # after merge: take out this condition.
-    and pair.values[2].scene != 'complex'])
+    pair for pair in PAIRS if pair.values[0] in ('convex', 'greedy')])
 def test_every_option_of_several_sensors_changes_something_or_is_refused(detector, option, case):
     assert_honoured_or_refused(detector, option, case, several_sensors)
 
