@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +22,11 @@ STATUSES = {
     'not_noise': 'not searched: the frames pass the threshold nearly everywhere, as noise never '
                  'does',
 }
+
+
+def worst_status(statuses: Iterable[str]) -> str:
+    """Return the one of some statuses that is furthest down in :data:`STATUSES`."""
+    return max(statuses, key=list(STATUSES).index)
 
 
 @dataclass(frozen=True)

@@ -158,7 +158,7 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float,
         prepared = _weighted(prepared)
     if on_plane:
         prepared = _on_plane(prepared, options.registration)
-    elif len(prepared):
+    elif prepared.registration is not None:
         prepared = replace(
             prepared, maps=geometry.translations(np.zeros((len(prepared), 2))),
             scene=_credible(prepared.registration))

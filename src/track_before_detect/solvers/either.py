@@ -34,7 +34,7 @@ from track_before_detect.solvers.batch_detector import (
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.path_detector import PathDetector, Task
-from track_before_detect.types import FrameBatch, Progress, STATUSES
+from track_before_detect.types import FrameBatch, Progress, worst_status
 
 # Distance in widths of the PSF within which two paths may be one target, and the share of the
 # frames of both in which they have to be.
@@ -94,7 +94,7 @@ class EitherDetector(BatchDetector):
         found = _joined(first, then, changing, free.found, [
             replace(one, statistic=math.sqrt(max(one.statistic**2 + shift, 0.0)))
             for one in constant.found])
-        status = max(free.status, constant.status, key=list(STATUSES).index)
+        status = worst_status([free.status, constant.status])
         return first.in_frame(BatchResult(
             found, free.threshold, status, free.history + constant.history,
             max(free.gap, constant.gap), free.best_statistic))

@@ -44,8 +44,8 @@ from track_before_detect.types import (
     FrameBatch,
     Progress,
     Remark,
-    STATUSES,
     Trajectory,
+    worst_status,
 )
 
 _LOG = logging.getLogger(__name__)
@@ -203,7 +203,8 @@ class TrackingPipeline:
         self._before = self._stitcher.link(
             found, self._period(batch.frames.shape[2]),
             [trajectory for trajectory in rejected if trajectory.reason in MAY_CARRY_ON])
-        worst = max(results, key=lambda result: list(STATUSES).index(result.status))
+        status = worst_status(result.status for result in results)
+        worst = next(result for result in results if result.status == status)
         return replace(worst, trajectories=list(self._before), rejected=rejected,
                        best_statistic=float(np.fmax.reduce(
                            [result.best_statistic for result in results])),

@@ -115,7 +115,8 @@ _WITHOUT_CLUTTER = {'calibration': 'noise', 'noise': 'robust', 'background': 'te
 
 def choose_for(recording: FrameSequence, preset: str, told: Mapping[str, Any]) -> Choice:
     """Return the options of a preset for a recording; see :func:`choose_options`."""
-    seen = np.stack([recording[i] for i in range(min(FRAMES_SEEN, len(recording)))])
+    n_seen = min(FRAMES_SEEN, len(recording)) if preset == AUTO else 0
+    seen = np.stack([recording[i] for i in range(n_seen)]) if n_seen else np.empty((0, 0, 0))
     choice = choose_options(preset, told, seen)
     check_options(choice.options)
     return choice

@@ -18,7 +18,7 @@ from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.joined import JoinedTrajectories
 from track_before_detect.tracking.pipeline import Observer, TrackingPipeline
 from track_before_detect.tracking.repeated_frames import RepeatedFrames
-from track_before_detect.types import DetectionResult, FrameBatch, Progress, STATUSES, Step
+from track_before_detect.types import DetectionResult, FrameBatch, Progress, worst_status
 
 _LOG = logging.getLogger(__name__)
 
@@ -140,10 +140,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         # Said before the search: it may fail for the same reason.
         _LOG.warning('%s', remark)
     joined = JoinedTrajectories(stamps, psf_of(options).width_px)
-    history: list[Step] = []
-    ranks = list(STATUSES)
-    rank, threshold, gap, best_statistic = 0, 0.0, float('nan'), float('nan')
-    n_searched = n_done = 0
+    n_done = 0
     searched: list[tuple[NDArray[np.int64], DetectionResult]] = []
     if progress is not None:
         progress('searching', 0.0)
@@ -153,36 +150,36 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
             _LOG.warning('frames %d to %d hold no finite pixel and are passed over',
                          batch.frame_indices[0], batch.frame_indices[-1])
             continue
-        n_searched += 1
         n_until = int(batch.frame_indices[-1]) + 1
         result = pipeline.process(
             batch, progress and _within(progress, n_done / n_frames, n_until / n_frames))
         n_done = n_until
         searched.append((batch.frame_indices, result))
         remarks += result.remarks
-        history += result.history
-        threshold = max(threshold, result.threshold)
-        gap = float(np.fmax(gap, result.gap))
-        best_statistic = float(np.fmax(best_statistic, result.best_statistic))
-        rank = max(rank, ranks.index(result.status))
         if progress is not None:
             progress('searching', n_done / n_frames)
-    if not n_searched:
+    if not searched:
         raise DataError(f'no pixel of the {n_frames} frames is finite')
     if repeated.count:
         remarks.append(f'{repeated.count} of {n_frames} frames repeat the one before and are '
                        'passed over')
         _LOG.warning('%s', remarks[-1])
+    results = [result for _, result in searched]
     if isinstance(pipeline, TrackingPipeline):
-        _carry_back(pipeline, [result for _, result in searched])
+        _carry_back(pipeline, results)
     for frame_indices, result in searched:
         joined.add(frame_indices, result.trajectories)
     # Candidates that carry a trajectory on are parts of it.
-    carried = {id(one.positions) for _, result in searched for one in result.trajectories}
-    return DetectionResult(joined.trajectories(), threshold, ranks[rank], history, gap,
-                           best_statistic, n_searched, [*reasons, *remarks],
-                           [one for _, result in searched for one in result.rejected
-                            if id(one.positions) not in carried])
+    carried = {id(one.positions) for result in results for one in result.trajectories}
+    return DetectionResult(
+        joined.trajectories(), max(result.threshold for result in results),
+        worst_status(result.status for result in results),
+        [step for result in results for step in result.history],
+        float(np.fmax.reduce([result.gap for result in results])),
+        float(np.fmax.reduce([result.best_statistic for result in results])), len(results),
+        [*reasons, *remarks],
+        [one for result in results for one in result.rejected
+         if id(one.positions) not in carried])
 
 
 def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult]) -> None:
