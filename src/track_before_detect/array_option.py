@@ -1,7 +1,5 @@
 """Arrays as values of options: given in Python, or as the name of a file."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 from pathlib import Path

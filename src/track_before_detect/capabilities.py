@@ -5,8 +5,6 @@ Declared once. It makes the refusals (:func:`check_options`), the tables of the 
 An option at its default is never refused; an option without a :class:`Limit` is honoured.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """Checks of what is given, each said once: numbers in their range, frames, stamps."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -4,8 +4,6 @@ A matrix takes homogeneous coordinates (x, y, 1) of the common plane to the pixe
 to a factor; its last entry is 1.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The models that the options of a detector name."""
 
-from __future__ import annotations
-
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf, Psf
 from track_before_detect.options import DetectorOptions
 

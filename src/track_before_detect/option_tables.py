@@ -4,8 +4,6 @@
 capability was added or changed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 import re

@@ -1,7 +1,5 @@
 """The processor cores that this process may use, and long work shared out over them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 import os

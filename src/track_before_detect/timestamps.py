@@ -1,7 +1,5 @@
 """Stamps of frames: their unit, their order, and the pauses between them."""
 
-from __future__ import annotations
-
 from bisect import bisect_left
 
 import numpy as np

@@ -1,7 +1,5 @@
 """``tbd detect``: find trajectories in a recording."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 import dataclasses

@@ -1,7 +1,5 @@
 """``tbd inspect``: a page of what the detector sees of a recording."""
 
-from __future__ import annotations
-
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 import dataclasses

@@ -16,7 +16,7 @@ distribution of its own. These are the doors of the rest that it goes through:
 - the methods of the papers, whose parts are measured: ``models.motion.transition_sets``,
   ``models.motion.velocity_candidates``, ``solvers.cancellation.mt_dp``,
   ``solvers.cancellation.pc_dp``, ``solvers.cancellation.target_cancellation``,
-  ``solvers.pixel_statistics``, ``solvers.ring.dynamic_programming``,
+  ``solvers.pixel_statistics``, ``solvers.ring.several_targets``,
   ``solvers.ring.merit_functions``;
 - what benches take apart: ``models.amplitudes``, ``models.measurement.base``,
   ``models.measurement.psf``, ``models.motion.state_graph``, ``models.motion.velocity_grid``,

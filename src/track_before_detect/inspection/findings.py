@@ -1,7 +1,5 @@
 """Words for what looks wrong, and which option to turn."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_before_detect.inspection.observation import Observation

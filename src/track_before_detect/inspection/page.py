@@ -1,7 +1,5 @@
 """One page that holds an inspection, with its pictures inside."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Iterable, Sequence
 import html

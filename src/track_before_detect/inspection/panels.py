@@ -1,7 +1,5 @@
 """The pictures of an inspection, each drawn into axes of its own."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 import io

@@ -6,8 +6,6 @@ third leaves of the sum; both ratios are independent of each other and of the le
 makes them so: nothing has to be known of the level of each pixel.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

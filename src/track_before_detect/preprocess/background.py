@@ -1,7 +1,5 @@
 """What does not move: estimated as a median over time and taken off."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage

@@ -1,7 +1,5 @@
 """What is given of the pixels of a batch: which are masked, and how noisy each is."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The standard deviation of the noise, from frames that hold targets and leftovers too."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage

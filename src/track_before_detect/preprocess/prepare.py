@@ -1,7 +1,5 @@
 """From raw frames to frames in which the noise has unit variance and the scene stands still."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import numpy as np

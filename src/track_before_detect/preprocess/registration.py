@@ -5,8 +5,6 @@ is at ``maps[t]`` of ``p`` in frame t. Without turns and zooms of the camera tha
 by correlation; Gauss-Newton steps find the rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import dataclasses
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Registration by correlation: the shift of the scene between two images."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -10,8 +10,6 @@ scipy took eight times the processor time for the same maps with its default thr
 with one. A step is one system of 6 or 8 equations, which is why it is written out here.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

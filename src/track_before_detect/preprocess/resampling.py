@@ -1,7 +1,5 @@
 """Move images by maps, see the module ``geometry``."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """The spread of the bulk of some values, whatever a few of them are."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Whether the noise is white, and what the matched filter sees of it where it is not."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage

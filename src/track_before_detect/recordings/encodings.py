@@ -1,7 +1,5 @@
 """From the bytes of ROS messages to frames, without ROS."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

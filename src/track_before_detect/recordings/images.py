@@ -1,7 +1,5 @@
 """Recordings made of images: folders in which each file is a frame."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 import re

@@ -1,7 +1,5 @@
 """Open a recording of any supported kind."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 import glob
 import os

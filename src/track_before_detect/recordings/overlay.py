@@ -1,7 +1,5 @@
 """Pictures of trajectories over a frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import os
 from typing import Any

@@ -1,7 +1,5 @@
 """What libraries raise about damaged files becomes one sentence, and nothing stays open."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 import importlib

@@ -1,7 +1,5 @@
 """What a search leaves: trajectories as CSV, its summary as JSON, each whole or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 import csv
 import json

@@ -1,7 +1,5 @@
 """Recordings in bags of ROS 2 and ROS 1, read without ROS."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any

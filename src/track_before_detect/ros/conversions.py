@@ -4,8 +4,6 @@ Positions stay in pixels: in markers, paths and points one metre of ROS stands f
 the right, y down, z = 0.
 """
 
-from __future__ import annotations
-
 from array import array
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 import math

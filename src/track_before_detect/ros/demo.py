@@ -3,8 +3,6 @@
 ``frame_publisher`` and ``detector`` run as two processes; this one listens to what they publish.
 """
 
-from __future__ import annotations
-
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 from contextlib import ExitStack

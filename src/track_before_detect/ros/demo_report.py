@@ -1,7 +1,5 @@
 """The tables of the demo: what was found, beside what was there."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -6,8 +6,6 @@ Topics (relative): in ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Float
 searched at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Set
 from copy import copy
 import os

@@ -1,7 +1,5 @@
 """The diagnostics message of the detector, and the warnings it repeats."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 import math
 import time

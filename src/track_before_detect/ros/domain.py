@@ -1,7 +1,5 @@
 """Find a DDS domain that nobody on this machine uses."""
 
-from __future__ import annotations
-
 from pathlib import Path
 import random
 

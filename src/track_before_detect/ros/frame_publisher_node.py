@@ -4,8 +4,6 @@ Topics (relative): out ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Floa
 ``truth/path`` (nav_msgs/Path, one message per true target) where the truth is known.
 """
 
-from __future__ import annotations
-
 import sys
 import time
 

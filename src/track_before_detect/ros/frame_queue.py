@@ -3,8 +3,6 @@
 No ROS types in here.
 """
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass

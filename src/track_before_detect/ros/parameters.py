@@ -5,8 +5,6 @@ expected and answers out-of-range values tersely. :class:`ParameterizedNode` che
 later changes itself before rclpy sees them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Set
 from contextlib import contextmanager
 from dataclasses import dataclass

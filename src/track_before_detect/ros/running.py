@@ -1,7 +1,5 @@
 """Start a node, spin it, and leave without a traceback."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 import signal
 import sys

@@ -3,8 +3,6 @@
 No ROS types in here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 import logging

@@ -16,8 +16,6 @@ and those targets of which a constant amplitude would leave enough for a path ar
 frames. What only the second search finds has to pass on the frames less what only the first found.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 import math
 

@@ -1,7 +1,5 @@
 """How long a batch may be searched, and a sign of life while it is."""
 
-from __future__ import annotations
-
 import math
 import time
 

@@ -1,7 +1,5 @@
 """Cut a stream of frames into overlapping batches, and mind its gaps, jumps and repeats."""
 
-from __future__ import annotations
-
 from collections import deque
 from dataclasses import dataclass, replace
 from enum import Enum

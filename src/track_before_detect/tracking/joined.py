@@ -1,7 +1,5 @@
 """The trajectories of successive batches as one for each identity."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the batch before found in the frames that a batch holds again."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Detection in a whole recording: overlapping batches, one trajectory for each identity."""
 
-from __future__ import annotations
-
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 import logging

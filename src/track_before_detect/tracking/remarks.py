@@ -1,7 +1,5 @@
 """What was done with pixels and frames that hold no picture, said once over all batches."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 import logging
 

@@ -1,7 +1,5 @@
 """Frames that hold nothing new, as a shutter correction or too high a frame rate makes."""
 
-from __future__ import annotations
-
 from collections import deque
 
 import numpy as np

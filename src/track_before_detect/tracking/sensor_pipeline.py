@@ -1,7 +1,5 @@
 """Frames of several sensors in, trajectories on their common plane out."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

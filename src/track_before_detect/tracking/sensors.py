@@ -1,7 +1,5 @@
 """Several sensors that look at one plane, searched together."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

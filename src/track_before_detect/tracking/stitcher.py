@@ -1,7 +1,5 @@
 """Give trajectories of successive batches the identity they had before."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -13,7 +13,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.batch_detector import EarlierPaths
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
+from track_before_detect.solvers.convex.pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.convex.warm_start import starting_paths
 from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner

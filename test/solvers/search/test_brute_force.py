@@ -8,7 +8,7 @@ import naive
 from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
-from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
+from track_before_detect.solvers.convex.pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.given_paths.fit_paths import fit_paths
 from track_before_detect.solvers.refine.refinement import Refiner

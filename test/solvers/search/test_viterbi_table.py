@@ -12,7 +12,7 @@ from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.models.presence import Presence
-from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings
+from track_before_detect.solvers.convex.pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.refine.target_model import TargetModel

@@ -1,7 +1,5 @@
 """Pixels that hold no picture: telemetry, symbols, dead, hot and saturated pixels."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Frames that hold no picture of the scene: blank, saturated, garbage, or after a cut."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csgraph

@@ -1,7 +1,5 @@
 """Recordings in FITS files: a cube, an image for each frame, or a file for each frame."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 import math
 from pathlib import Path

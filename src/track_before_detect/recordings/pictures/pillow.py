@@ -1,7 +1,5 @@
 """Pictures that Pillow reads, with the low byte of 16-bit colour that it leaves out."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Recordings in TIFF files: pages, stacks with named axes, their frame interval."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import ModuleType
 from typing import Any

@@ -5,8 +5,6 @@ measurement, so that a calibration is the same on every machine; right within ab
 one that the constants were measured on (float32, crops of 32 to 128 pixels, 1 to 50 frames).
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from track_before_detect.models.amplitudes import AmplitudeModel

@@ -1,7 +1,5 @@
 """What a calibration searches: noise, by the detector whose threshold is wanted."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

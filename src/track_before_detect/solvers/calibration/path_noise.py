@@ -1,7 +1,5 @@
 """The calibration study of a detector that searches the paths of a state graph."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

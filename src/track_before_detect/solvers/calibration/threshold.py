@@ -6,8 +6,6 @@ effective area. How that mean falls off further out than the maxima reach is kno
 number where the statistic is made of normal ones; otherwise it is taken to fall exponentially.
 """
 
-from __future__ import annotations
-
 import hashlib
 import logging
 import math

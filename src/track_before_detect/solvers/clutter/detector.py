@@ -9,8 +9,6 @@ together with its pixels, the tail of the others gives the threshold that it has
 it does the next is tried.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 import math
 

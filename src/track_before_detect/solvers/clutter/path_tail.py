@@ -1,7 +1,5 @@
 """The tail of the strongest paths that are no target."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 import math
 

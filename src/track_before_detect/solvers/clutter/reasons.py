@@ -1,7 +1,5 @@
 """Why a path that stands out is no target: where it lies, how it moves, what it looks like."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult
-from track_before_detect.solvers.convex.duplicates import DuplicateSearch
-from track_before_detect.solvers.convex.subspace_pursuit import pursue, PursuitSettings, state_of
+from track_before_detect.solvers.convex.ghosts import GhostSearch
+from track_before_detect.solvers.convex.pursuit import pursue, PursuitSettings, state_of
 from track_before_detect.solvers.convex.warm_start import starting_paths
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import refiner_for
@@ -55,7 +55,7 @@ class ConvexDetector(PathDetector):
         if self.options.continuation[-1] > 0:
             return
         paths, psf = task.paths, task.targets.measurement
-        widths = DuplicateSearch(task.targets, paths, task.watch).merge()
+        widths = GhostSearch(task.targets, paths, task.watch).merge()
         if not len(widths):
             return
         history.append(state_of(paths, 0.0))

@@ -32,9 +32,9 @@ from track_before_detect.solvers.batch_detector import (
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.pixel_statistics import measure
 from track_before_detect.solvers.ring.crossings import with_crossings_resolved
-from track_before_detect.solvers.ring.dynamic_programming import found_one_by_one
 from track_before_detect.solvers.ring.linking import LinkedTrajectory
 from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.solvers.ring.several_targets import found_one_by_one
 from track_before_detect.solvers.watch import Watch
 from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress

@@ -13,8 +13,8 @@ from track_before_detect.evaluation.engine.suite import Suite, SuiteResult
 from track_before_detect.evaluation.engine.tables import markdown_table
 from track_before_detect.evaluation.studies.ring import pictures, scenes, shares
 from track_before_detect.evaluation.studies.ring import runs as ring_runs
-from track_before_detect.solvers.ring.dynamic_programming import several_targets
 from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.solvers.ring.several_targets import several_targets
 
 SNRS = (1.5, 1.8, 2.2, 3.0)
 # ms per frame of 128 x 128 px by case, DP and DPR (Table 2).

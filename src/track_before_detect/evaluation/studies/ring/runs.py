@@ -7,8 +7,8 @@ import numpy as np
 
 from track_before_detect.evaluation.metrics.paper_metrics import count_points
 from track_before_detect.evaluation.studies.ring import scenes
-from track_before_detect.solvers.ring.dynamic_programming import several_targets, single_target
 from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.solvers.ring.several_targets import several_targets, single_target
 
 Item = Mapping[str, Any]
 

@@ -7,9 +7,9 @@ from track_before_detect.kernels.amplitude_codes import CONSTANT, NON_NEGATIVE, 
 from track_before_detect.models.amplitudes import AMPLITUDE_MODELS
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
-from track_before_detect.solvers.convex import subspace_pursuit
-from track_before_detect.solvers.convex.subspace_pursuit import (
-    duality_gap,
+from track_before_detect.solvers.convex import pursuit
+from track_before_detect.solvers.convex.certificate import duality_gap
+from track_before_detect.solvers.convex.pursuit import (
     keep_what_passes,
     pursue,
     PursuitSettings,
@@ -217,8 +217,8 @@ def test_residual_is_frames_less_fit_after_many_changes():
 
 
 def test_more_paths_than_are_held_are_reported_as_a_limit(monkeypatch):
-    monkeypatch.setattr(subspace_pursuit, 'MOST_PATHS', 1)
-    monkeypatch.setattr(subspace_pursuit, 'MOST_NEW_PATHS', 1)
+    monkeypatch.setattr(pursuit, 'MOST_PATHS', 1)
+    monkeypatch.setattr(pursuit, 'MOST_NEW_PATHS', 1)
     result, _ = solve(scene('far apart', 3), (1.0, 0.5, 0.0))
     assert result.status == 'iteration_limit'
     assert len(result.paths) == 1
@@ -226,7 +226,7 @@ def test_more_paths_than_are_held_are_reported_as_a_limit(monkeypatch):
 
 @pytest.mark.parametrize('continuation', [[1.0], [1.0, 0.5, 0.0], [0.0]])
 def test_noise_far_above_one_ends_when_the_fits_have_taken_enough(continuation, monkeypatch):
-    monkeypatch.setattr(subspace_pursuit, 'MOST_WORK', 3e4)
+    monkeypatch.setattr(pursuit, 'MOST_WORK', 3e4)
     noise = 5 * np.random.default_rng(3).standard_normal((T, H, W)).astype(np.float32)
     result, _ = solve(noise, continuation)
     assert result.status == 'iteration_limit'

@@ -47,7 +47,7 @@ PER_AXIS = 2
 SWEEPS = 4
 
 
-class DuplicateSearch:
+class GhostSearch:
     """Finds paths that stand for one target together, and lets one stand for it, at t = 0.
 
     Parameters

@@ -22,6 +22,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.solvers.convex.certificate import duality_gap
 from track_before_detect.solvers.fit.working_set import FIT_GAP, WorkingSet
 from track_before_detect.solvers.refine.refinement import PathRefiner
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
@@ -188,35 +189,6 @@ def keep_what_passes(paths: WorkingSet) -> None:
         if n_kept == len(paths):
             break
     paths.refresh()
-
-
-def duality_gap(paths: WorkingSet, largest: float) -> float:
-    """Return the duality gap of F_1 at the present amplitudes.
-
-    The residual, scaled down until no path passes its penalty, is feasible for the dual; one
-    scale serves all penalties w^2 = threshold^2 + cost, since costs only help once scaled.
-
-    Parameters
-    ----------
-    paths : WorkingSet
-        The solution.
-    largest : float
-        Largest value of any path on the residual.
-    """
-    scale = 1.0
-    if largest > 0:
-        scale = min(scale, paths.threshold / paths.model.from_value(largest))
-    explained = paths.explained()
-    left = paths.matched - explained
-    seen = np.array([paths.statistic(path, row) for path, row in enumerate(left)])
-    if len(paths):
-        scale = min(scale, float(np.min(paths.penalties / np.maximum(seen, 1e-300))))
-    fit = np.vdot(paths.amplitudes, explained).real
-    cross = np.vdot(paths.amplitudes, paths.matched).real
-    residual_energy = paths.energy - cross + 0.5 * fit
-    data_times_residual = 2 * paths.energy - cross
-    dual = scale * data_times_residual - scale**2 * residual_energy
-    return max(0.0, paths.objective(1.0) - float(dual))
 
 
 def state_of(paths: WorkingSet, t_convex: float, violation: float = float('nan')) -> Step:

@@ -5,14 +5,14 @@ import pytest
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.solvers.ring.crossings import with_crossings_resolved
-from track_before_detect.solvers.ring.dynamic_programming import (
+from track_before_detect.solvers.ring.linking import best_trajectory
+from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.solvers.ring.several_targets import (
     fill,
     found_one_by_one,
     several_targets,
     single_target,
 )
-from track_before_detect.solvers.ring.linking import best_trajectory
-from track_before_detect.solvers.ring.merit_functions import METHODS
 
 SHAPE = (64, 64)
 # Somewhere no trajectory comes near.
