@@ -432,7 +432,9 @@ def joined_batches(batches: Iterable[tuple[float, NDArray]], recorded_s: NDArray
                 amplitudes=own['amplitude'].astype(float),
                 velocity=np.column_stack([own['vx'], own['vy']]).astype(float),
                 stamps=own['t'], frame_indices=frames[points['id'] == identity],
-                statistic=float(own['statistic'][0]), snr=float(own['snr'][0])))
+                statistic=float(own['statistic'][0]), snr=float(own['snr'][0]),
+                covariance=np.moveaxis([[own['var_x'], own['cov_xy']],
+                                        [own['cov_xy'], own['var_y']]], 2, 0).astype(float)))
         joined.add(np.arange(max(0, newest - length + 1), newest + 1), found)
     return joined.trajectories()
 

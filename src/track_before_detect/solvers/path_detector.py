@@ -31,6 +31,7 @@ from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
 from track_before_detect.solvers.noise_check import passes_everywhere, threshold_bound
 from track_before_detect.solvers.path_statistic import PathStatistic
+from track_before_detect.solvers.refine.position_covariance import position_covariance
 from track_before_detect.solvers.refine.refinement import refiner_for
 from track_before_detect.solvers.refine.target_model import NO_WEIGHTS, TargetModel
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
@@ -169,15 +170,24 @@ class PathDetector(BatchDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch, in the order in which its working set holds them."""
 
-    def trajectory(self, paths: WorkingSet, path: int, value: float) -> FoundTrajectory:
-        """Return the target of a path of this value that is held."""
+    def trajectory(self, paths: WorkingSet, path: int, value: float,
+                   refined: TargetModel | None = None) -> FoundTrajectory:
+        """Return the target of a path of this value that is held, with its covariance if refined.
+
+        ``refined`` is the model of the targets by which it was.
+        """
         seen = paths.seen(path)
         present = self.scale.present(paths.positions[path], seen)
+        covariance = None
+        if refined is not None:
+            with paths.without(path) as frames:
+                covariance = position_covariance(refined, frames, paths.positions[path])
+            covariance[~present] = np.nan
         return FoundTrajectory(
             np.where(present[:, None], paths.positions[path], np.nan),
             np.where(present, paths.target_amplitudes(path), np.nan),
             self.scale.statistic(value, len(seen)),
-            self.model.snr(seen[present & paths.visible(path)]))
+            self.model.snr(seen[present & paths.visible(path)]), covariance=covariance)
 
     def result(self, task: Task, found: list[FoundTrajectory], status: str, history: list[Step],
                largest: float = 0.0, gap: float = float('nan')) -> BatchResult:

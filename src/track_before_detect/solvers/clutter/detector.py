@@ -153,7 +153,7 @@ class ClutterDetector(PathDetector):
         paths = task.paths
         added = paths.add(path.positions, path.cost)
         paths.assign(np.array([added]), paths.best(added)[None])
-        found = self.trajectory(paths, added, path.value)
+        found = self.trajectory(paths, added, path.value, task.targets)
         paths.remove(np.array([added]))
         return replace(found, statistic=found.statistic / level, reason=reason)
 

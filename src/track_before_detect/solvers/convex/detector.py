@@ -43,7 +43,8 @@ class ConvexDetector(PathDetector):
                         PursuitSettings(self.options.continuation), self._start(task), task.watch)
         self._merge_duplicates(task, result.history)
         # Less their costs, so that every statistic meets the same threshold.
-        found = [self.trajectory(paths, path, paths.value(path)) for path in range(len(paths))]
+        found = [self.trajectory(paths, path, paths.value(path), task.targets)
+                 for path in range(len(paths))]
         return self.result(task, found, result.status, result.history, result.largest, result.gap)
 
     def _merge_duplicates(self, task: Task, history: list[Step]) -> None:
