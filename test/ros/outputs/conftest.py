@@ -1,17 +1,23 @@
-"""Message packages that wheels do not bring, made from their published fields by ROS's generator.
+"""Message packages that wheels do not bring, made from their published fields by ROS's generators.
 
-They check the type of every field that is set. Compiled type support is not made, so they can be
-filled but not sent.
+They are the real ones, filled and checked like those of an installed package. One is compiled too,
+to be sent; all would take 20 s.
 """
 
 import importlib
-import json
+import os
 from pathlib import Path
+import shutil
+import subprocess
 import sys
+import sysconfig
 
+import numpy as np
 import pytest
 
 HEADER, TIME = 'std_msgs/Header header', 'builtin_interfaces/Time timestamp'
+TYPE_SUPPORTS = 'rosidl_typesupport_fastrtps_c', 'rosidl_typesupport_introspection_c'
+USED = ('builtin_interfaces', 'geometry_msgs', 'std_msgs', 'unique_identifier_msgs')
 # As of vision_msgs 4.1, radar_msgs 0.2 and foxglove_msgs 2.2.
 PACKAGES = {
     'vision_msgs': {
@@ -55,11 +61,41 @@ PACKAGES = {
 }
 
 
-def generate(package, kinds, folder):
-    """Write the Python classes of a package below a folder, as a build of it does."""
-    from ament_index_python import get_package_share_directory
+def extension_of(module):
+    """Return what a generator of ROS's wheels adds to the command ``rosidl``.
+
+    The command itself refuses the wheels, which name each generator twice.
+    """
+    from rosidl_cli.command.generate.extensions import GenerateCommandExtension
+    return next(kind for kind in vars(module).values()
+                if isinstance(kind, type) and issubclass(kind, GenerateCommandExtension)
+                and kind is not GenerateCommandExtension)
+
+
+def python_only():
+    """Return the generator of the classes, which may be filled and checked but not sent."""
+    import rosidl_generator_py.cli
+    return [(rosidl_generator_py.cli, {'typesupport_implementations': []})]
+
+
+def to_be_sent():
+    """Return all generators that a message to be sent needs."""
+    import rosidl_generator_c.cli
+    import rosidl_generator_py.cli
+    import rosidl_typesupport_c.cli
+    import rosidl_typesupport_fastrtps_c.cli
+    import rosidl_typesupport_introspection_c.cli
+    return [
+        (rosidl_generator_c.cli, {}), (rosidl_typesupport_fastrtps_c.cli, {}),
+        (rosidl_typesupport_introspection_c.cli, {}),
+        (rosidl_typesupport_c.cli, {'typesupport_implementations': list(TYPE_SUPPORTS)}),
+        (rosidl_generator_py.cli, {'typesupport_implementations': ['rosidl_typesupport_c']})]
+
+
+def generate(package, generators, folder):
+    """Write the sources of a package below a folder, as a build of it does."""
     from rosidl_adapter.msg import convert_msg_to_idl
-    from rosidl_generator_py import generate_py
+    kinds = PACKAGES[package]
     source, output = folder / 'source' / package, folder / package
     (source / 'msg').mkdir(parents=True)
     (output / 'msg').mkdir(parents=True)
@@ -67,31 +103,77 @@ def generate(package, kinds, folder):
     for name, lines in kinds.items():
         (source / 'msg' / f'{name}.msg').write_text('\n'.join([*lines, '']))
         convert_msg_to_idl(source, package, Path('msg', f'{name}.msg'), output / 'msg')
-    arguments = folder / f'{package}.json'
-    arguments.write_text(json.dumps({
-        'package_name': package, 'output_dir': str(output), 'target_dependencies': [],
-        'template_dir': f'{get_package_share_directory("rosidl_generator_py")}/resource',
-        'idl_tuples': [f'{output}:msg/{name}.idl' for name in kinds],
-        'ros_interface_dependencies': []}))
-    # None of the type supports, which are C to be compiled.
-    generate_py(str(arguments), [])
+    files = [f'{output}:msg/{name}.idl' for name in kinds]
+    known = [str(Path(sys.prefix, 'share', name)) for name in USED]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv('AMENT_PREFIX_PATH', sys.prefix, prepend=os.pathsep)
+        for module, options in generators:
+            extension_of(module)('', **options).generate(package, files, known, output)
+
+
+def build(package, folder):
+    """Compile a generated package."""
+    prefix, output = Path(sys.prefix), folder / package
+    include = [*(prefix / 'include').iterdir(), prefix / 'include', folder,
+               sysconfig.get_paths()['include'], np.get_include()]
+    flags = ['-fPIC', '-w', *(f'-I{path}' for path in include)]
+    libraries = [path for name in ('*_msgs__rosidl_*_c', '*_msgs__rosidl_generator_py',
+                                   'builtin_interfaces__rosidl_*_c', 'rosidl_*_c', 'fastcdr')
+                 for path in (prefix / 'lib').glob(f'lib{name}.so*')]
+    libraries += [f'-Wl,-rpath,{prefix / "lib"},-rpath,{output}', '-Wl,--no-as-needed']
+
+    def compiled(sources, made):
+        subprocess.run(['gcc', *flags, '-shared', *sources, *libraries, '-lstdc++', '-o', made,
+                        f'-Wl,-soname,{made.name}'], check=True)
+        libraries.append(made)
+
+    # Looked up by these names, and found as the module has loaded them.
+    detail = output / 'msg' / 'detail'
+    fast, introspection = (output / f'lib{package}__{name}.so' for name in TYPE_SUPPORTS)
+    compiled(detail.glob('*__type_support_c.cpp'), fast)
+    compiled(detail.glob('*__type_support.c'), introspection)
+    rest = {*output.rglob('*.c*')} - {*detail.glob('*__type_support*')}
+    suffix = sysconfig.get_config_var('EXT_SUFFIX')
+    compiled(rest, output / f'{package}_s__rosidl_typesupport_c{suffix}')
+
+
+def is_installed(package):
+    return importlib.util.find_spec(package) is not None
 
 
 @pytest.fixture(scope='module')
 def messages(tmp_path_factory):
-    """Return the modules of the messages by package, those that are installed where they are."""
+    """Return the modules of the messages by package; their classes check what they are given."""
     pytest.importorskip('rosidl_generator_py')
     folder = tmp_path_factory.mktemp('messages')
+    made = [package for package in PACKAGES if not is_installed(package)]
+    for package in made:
+        generate(package, python_only(), folder)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv('AMENT_PREFIX_PATH', sys.prefix, prepend=':')
         patch.setenv('ROS_PYTHON_CHECK_FIELDS', '1')
         patch.syspath_prepend(folder)
-        made = []
-        for package, kinds in PACKAGES.items():
-            if importlib.util.find_spec(package) is None:
-                generate(package, kinds, folder)
-                made.append(package)
-        importlib.invalidate_caches()
         yield {package: importlib.import_module(f'{package}.msg') for package in PACKAGES}
-        for name in [name for name in sys.modules if name.partition('.')[0] in made]:
-            del sys.modules[name]
+    forget(made)
+
+
+@pytest.fixture
+def sent_radar_msgs(tmp_path, monkeypatch):
+    """Return ``radar_msgs.msg`` that can be sent, also by processes that are started."""
+    if not is_installed('radar_msgs'):
+        pytest.importorskip('rosidl_generator_py')
+        if shutil.which('gcc') is None:
+            pytest.skip('messages that are sent need a compiler (gcc)')
+        generate('radar_msgs', to_be_sent(), tmp_path)
+        build('radar_msgs', tmp_path)
+        monkeypatch.setenv('PYTHONPATH', str(tmp_path), prepend=os.pathsep)
+        monkeypatch.syspath_prepend(tmp_path)
+        yield importlib.import_module('radar_msgs.msg')
+        forget(['radar_msgs'])
+    else:
+        yield importlib.import_module('radar_msgs.msg')
+
+
+def forget(packages):
+    """Let packages be not installed again."""
+    for name in [name for name in sys.modules if name.partition('.')[0] in packages]:
+        del sys.modules[name]
