@@ -433,8 +433,8 @@ def joined_batches(batches: Iterable[tuple[float, NDArray]], recorded_s: NDArray
                 velocity=np.column_stack([own['vx'], own['vy']]).astype(float),
                 stamps=own['t'], frame_indices=frames[points['id'] == identity],
                 statistic=float(own['statistic'][0]), snr=float(own['snr'][0]),
-                covariance=np.moveaxis([[own['var_x'], own['cov_xy']],
-                                        [own['cov_xy'], own['var_y']]], 2, 0).astype(float)))
+                covariance=np.column_stack([own[name] for name in (
+                    'var_x', 'cov_xy', 'cov_xy', 'var_y')]).reshape(-1, 2, 2).astype(float)))
         joined.add(np.arange(max(0, newest - length + 1), newest + 1), found)
     return joined.trajectories()
 

@@ -1,9 +1,9 @@
 """Node ``detector``: frames in, trajectories out.
 
 Topics (relative): in ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Float32MultiArray); out
-``trajectories/markers``, ``trajectories/path``, ``trajectories/points``, ``overlay`` and
-``/diagnostics``, and those of :mod:`~track_before_detect.ros.outputs.field_outputs`. Service ``~/flush`` (std_srvs/Trigger) has the frames that were in no batch yet
-searched at once.
+``trajectories/markers``, ``trajectories/path``, ``trajectories/points``, ``overlay``,
+``/diagnostics`` and, where their packages are installed, those of :class:`FieldOutputs`. Service
+``~/flush`` (std_srvs/Trigger) has the frames that were in no batch yet searched at once.
 """
 
 from collections.abc import Callable, Mapping, Set

@@ -18,7 +18,6 @@ from track_before_detect.ros.outputs.field_messages import (  # noqa: E402
     radar_tracks,
 )
 from track_before_detect.ros.outputs.field_outputs import (  # noqa: E402
-    FieldOutputs,
     SCALE_PARAMETERS,
 )
 from track_before_detect.ros.outputs.seen_targets import (  # noqa: E402

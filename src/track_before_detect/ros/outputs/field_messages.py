@@ -10,7 +10,6 @@ from uuid import UUID, uuid5
 from geometry_msgs.msg import Point, Vector3
 import numpy as np
 from std_msgs.msg import Header
-from unique_identifier_msgs.msg import UUID as UuidMessage
 
 from track_before_detect.recordings.overlay import colour_of
 from track_before_detect.ros.outputs.seen_targets import RadarScale, SeenTarget
@@ -80,16 +79,16 @@ def radar_tracks(radar_msgs: ModuleType, targets: Sequence[SeenTarget], header: 
     unknown = np.full(6, np.nan, np.float32)
     for target in targets:
         motion = scale.motion(target, still_column, period_columns)
-        identity = UuidMessage(
-            uuid=np.frombuffer(uuid5(stream, str(target.id)).bytes, np.uint8))
         upper = np.triu_indices(3)
-        tracks.append(radar_msgs.RadarTrack(
-            uuid=identity, position=Point(**dict(zip('xyz', motion.position.tolist()))),
-            velocity=Vector3(**dict(zip('xyz', motion.velocity.tolist()))),
+        track = radar_msgs.RadarTrack(
+            position=Point(**dict(zip('xyz', motion.position.tolist(), strict=True))),
+            velocity=Vector3(**dict(zip('xyz', motion.velocity.tolist(), strict=True))),
             classification=radar_msgs.RadarTrack.DYNAMIC,
             position_covariance=motion.position_covariance[upper].astype(np.float32),
             velocity_covariance=motion.velocity_covariance[upper].astype(np.float32),
-            acceleration_covariance=unknown, size_covariance=unknown))
+            acceleration_covariance=unknown, size_covariance=unknown)
+        track.uuid.uuid = np.frombuffer(uuid5(stream, str(target.id)).bytes, np.uint8)
+        tracks.append(track)
     return radar_msgs.RadarTracks(header=header, tracks=tracks)
 
 

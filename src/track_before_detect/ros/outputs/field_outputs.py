@@ -41,9 +41,9 @@ SCALE_PARAMETERS = [
         'bearing_of_first_column_rad', 0.0, 'Of radar maps: bearing of column 0, anticlockwise '
         'from straight ahead.', 'number', unit='rad'),
     NodeParameter(
-        'doppler_m_s_per_column', 0.0, 'Of radar maps: speed from one column to the next, positive '
-        'where receding; doppler_offset_bins says where it is zero. 0 where columns are bearing.',
-        'number', unit='m/s'),
+        'doppler_m_s_per_column', 0.0, 'Of radar maps: speed from one column to the next, '
+        'positive where receding; doppler_offset_bins says where it is zero. 0 where columns are '
+        'bearing.', 'number', unit='m/s'),
 ]
 
 # From the module of the messages, the targets and header of a frame, its number of columns and the

@@ -124,7 +124,8 @@ class RadarScale:
         """
         column, row = target.position
         distance = self.first_range_m + self.range_m * row
-        variance = target.covariance * np.outer(*[(self.bearing_rad or 1.0, self.range_m)] * 2)
+        steps = np.array([self.bearing_rad or 1.0, self.range_m])
+        variance = target.covariance * steps * steps[:, None]
         position, velocity = np.zeros((2, 3))
         position_covariance, velocity_covariance = np.zeros((3, 3)), np.full((3, 3), np.nan)
         if self.doppler_m_s:
@@ -142,6 +143,6 @@ class RadarScale:
             # Of x and y by bearing and range.
             slope = np.array([[-distance * left, ahead], [distance * ahead, left]])
             position[:2] = distance * ahead, distance * left
-            velocity[:2] = slope @ (target.velocity * [self.bearing_rad, self.range_m])
+            velocity[:2] = slope @ (target.velocity * steps)
             position_covariance[:2, :2] = slope @ variance @ slope.T
         return RadarMotion(position, velocity, position_covariance, velocity_covariance)
