@@ -54,9 +54,9 @@ PACKAGES = {
         'TextAnnotation': [
             TIME, 'foxglove_msgs/Point2 position', 'string text', 'float64 font_size',
             'foxglove_msgs/Color text_color', 'foxglove_msgs/Color background_color'],
-        'ImageAnnotations': [f'foxglove_msgs/{kind}Annotation[] {kind.lower()}s'
-                             for kind in ('Circle', 'Points')] + [
-            'foxglove_msgs/TextAnnotation[] texts'],
+        'ImageAnnotations': [
+            f'foxglove_msgs/{kind}Annotation[] {field}' for kind, field in (
+                ('Circle', 'circles'), ('Points', 'points'), ('Text', 'texts'))],
     },
 }
 
@@ -117,8 +117,8 @@ def build(package, folder):
     include = [*(prefix / 'include').iterdir(), prefix / 'include', folder,
                sysconfig.get_paths()['include'], np.get_include()]
     flags = ['-fPIC', '-w', *(f'-I{path}' for path in include)]
-    libraries = [path for name in ('*_msgs__rosidl_*_c', '*_msgs__rosidl_generator_py',
-                                   'builtin_interfaces__rosidl_*_c', 'rosidl_*_c', 'fastcdr')
+    libraries = [path for name in (*(f'{used}__rosidl_{part}' for used in USED
+                                     for part in ('*_c', 'generator_py')), 'rosidl_*_c', 'fastcdr')
                  for path in (prefix / 'lib').glob(f'lib{name}.so*')]
     libraries += [f'-Wl,-rpath,{prefix / "lib"},-rpath,{output}', '-Wl,--no-as-needed']
 
