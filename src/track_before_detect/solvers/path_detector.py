@@ -31,8 +31,7 @@ from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
 from track_before_detect.solvers.noise_check import passes_everywhere, threshold_bound
 from track_before_detect.solvers.path_statistic import PathStatistic
-from track_before_detect.solvers.refine.position_covariance import position_covariance
-from track_before_detect.solvers.refine.refinement import refiner_for
+from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
 from track_before_detect.solvers.refine.target_model import NO_WEIGHTS, TargetModel
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
 from track_before_detect.solvers.search.periodic_columns import (
@@ -171,17 +170,17 @@ class PathDetector(BatchDetector):
         """Find the paths of a batch, in the order in which its working set holds them."""
 
     def trajectory(self, paths: WorkingSet, path: int, value: float,
-                   refined: TargetModel | None = None) -> FoundTrajectory:
-        """Return the target of a path of this value that is held, with its covariance if refined.
+                   refiner: PathRefiner | None = None) -> FoundTrajectory:
+        """Return the target of a path of this value that is held.
 
-        ``refined`` is the model of the targets by which it was.
+        With its covariance where there is a ``refiner``, that by which it was refined.
         """
         seen = paths.seen(path)
         present = self.scale.present(paths.positions[path], seen)
         covariance = None
-        if refined is not None:
+        if refiner is not None:
             with paths.without(path) as frames:
-                covariance = position_covariance(refined, frames, paths.positions[path])
+                covariance = refiner.covariance(frames, paths.positions[path])
             covariance[~present] = np.nan
         return FoundTrajectory(
             np.where(present[:, None], paths.positions[path], np.nan),

@@ -10,7 +10,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.motions import centred_path
 from track_before_detect.simulation.sensor import add_path
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.refine.position_covariance import position_covariance
+from track_before_detect.solvers.refine.refinement import refiner_for
 from track_before_detect.types import FrameBatch
 
 T, SIDE = 16, 32
@@ -33,7 +33,7 @@ def line(shape=(SIDE, SIDE)):
 def covariance(frames, positions, **options):
     detector = ConvexDetector(DetectorOptions(threshold=6.0, **options))
     targets = detector.task(FrameBatch.of(frames), 6.0).targets
-    return position_covariance(targets, frames, positions)
+    return refiner_for(targets).covariance(frames, positions)
 
 
 @pytest.mark.parametrize('sigma', [0.8, 1.5])
