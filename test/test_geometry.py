@@ -28,3 +28,14 @@ def test_what_lies_behind_the_horizon_is_nowhere():
     matrix = np.array([[1.0, 0, 0], [0, 1, 0], [-0.1, 0, 1]])
     assert np.isnan(geometry.apply(matrix, np.array([[10.0, 1], [20, 1]]))).all()
     assert np.isfinite(geometry.apply(matrix, np.array([9.0, 1]))).all()
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(SMALL, min_size=8, max_size=8), st.floats(-100, 100), st.floats(-100, 100))
+def test_slopes_are_the_derivatives_of_a_map(changes, x, y):
+    matrix = np.eye(3) + np.append(changes, 0.0).reshape(3, 3) * np.array([[1], [1], [0.003]])
+    place, step = np.array([[x, y]]), 1e-4
+    moved = [(geometry.apply(matrix, place + step * axis) - geometry.apply(
+        matrix, place - step * axis)) / (2 * step) for axis in np.eye(2)]
+    np.testing.assert_allclose(geometry.slopes(matrix[None], place)[0], np.vstack(moved).T,
+                               atol=1e-5)

@@ -50,3 +50,22 @@ def apply(maps: NDArray, positions: NDArray) -> NDArray[np.float64]:
     scaled = (maps[..., 0] * x[..., None] + maps[..., 1] * y[..., None] + maps[..., 2])
     depth = np.where(scaled[..., 2] > 0, scaled[..., 2], np.nan)
     return scaled[..., :2] / depth[..., None]
+
+
+def slopes(maps: NDArray, positions: NDArray) -> NDArray[np.float64]:
+    """Return the derivatives of maps at positions.
+
+    Parameters
+    ----------
+    maps : array, shape (T, 3, 3)
+    positions : array, shape (T, 2)
+        x and y before the map.
+
+    Returns
+    -------
+    array, shape (T, 2, 2)
+        Of x and y (rows) by x and y before the map (columns); NaN as of :func:`apply`.
+    """
+    depth = np.einsum('ti,ti->t', maps[:, 2, :2], positions) + maps[:, 2, 2]
+    mapped = apply(maps, positions)
+    return (maps[:, :2, :2] - mapped[:, :, None] * maps[:, 2:, :2]) / depth[:, None, None]

@@ -110,6 +110,10 @@ class Trajectory:
         hold no data where the target is.
     reason : str
         Why it is rejected; empty for a target.
+    covariance : array, shape (T, 2, 2)
+        Of the errors of x and y in px^2, where noise is all that disturbs the frames; NaN where
+        the target is absent, and of detectors that do not look for positions between the pixels
+        (all but ``convex`` and ``calibration=clutter``).
     """
 
     id: int
@@ -121,6 +125,12 @@ class Trajectory:
     statistic: float
     snr: float
     reason: str = ''
+    covariance: NDArray[np.float64] = field(default_factory=lambda: np.empty((0, 2, 2)))
+
+    def __post_init__(self) -> None:
+        if not len(self.covariance):
+            unknown = np.full((len(self.positions), 2, 2), np.nan)
+            object.__setattr__(self, 'covariance', unknown)
 
     def __repr__(self) -> str:
         present = np.isfinite(self.positions).all(axis=1)

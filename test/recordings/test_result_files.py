@@ -1,4 +1,5 @@
 import csv
+import dataclasses
 import json
 import math
 import os
@@ -67,7 +68,8 @@ def test_csv_has_one_row_per_presence_and_no_nan(presences, first_frame):
 
 def test_csv_columns_are_those_of_the_contract():
     assert ','.join(CSV_COLUMNS) == (
-        'trajectory_id,frame,stamp_s,x_px,y_px,vx_px_s,vy_px_s,amplitude,snr,statistic')
+        'trajectory_id,frame,stamp_s,x_px,y_px,vx_px_s,vy_px_s,amplitude,snr,statistic,'
+        'var_x_px2,cov_xy_px2,var_y_px2')
 
 
 def test_csv_without_trajectories_is_the_header_alone(tmp_path):
@@ -82,6 +84,15 @@ def test_unknown_velocity_is_left_empty_and_complex_amplitude_is_its_magnitude(t
     row, = read_csv(tmp_path / 'a.csv')
     assert (row['vx_px_s'], row['vy_px_s']) == ('', '')
     assert float(row['amplitude']) == pytest.approx(abs(one.amplitudes[0]), rel=1e-5)
+
+
+def test_covariance_is_written_where_it_is_known(tmp_path):
+    known = np.array([[[0.25, -0.125], [-0.125, 0.5]], [[np.nan, np.nan], [np.nan, np.nan]]])
+    one = dataclasses.replace(trajectory(1, [True, True]), covariance=known)
+    write_trajectories_csv(tmp_path / 'a.csv', [one])
+    rows = [[row[name] for name in ('var_x_px2', 'cov_xy_px2', 'var_y_px2')]
+            for row in read_csv(tmp_path / 'a.csv')]
+    assert rows == [['0.25', '-0.125', '0.5'], ['', '', '']]
 
 
 JSON_VALUES = st.recursive(

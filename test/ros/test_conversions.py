@@ -112,7 +112,8 @@ def test_points_hold_one_row_per_trajectory_and_frame_it_is_present_in():
         [trajectory(7, absent=[1]), trajectory(9)], HEADER))
     assert isinstance(message, PointCloud2)
     assert [field.name for field in message.fields] == [
-        'x', 'y', 'z', 't', 'id', 'vx', 'vy', 'amplitude', 'snr', 'statistic']
+        'x', 'y', 'z', 't', 'id', 'vx', 'vy', 'amplitude', 'snr', 'statistic', 'var_x',
+        'cov_xy', 'var_y']
     assert len(message.data) == message.row_step * message.height
     points = conversions.points_to_array(message)
     assert points['id'].tolist() == [7] * 3 + [9] * 4

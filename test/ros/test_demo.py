@@ -142,6 +142,7 @@ def test_the_demo_tells_the_same_of_a_target_as_the_command():
     assert shown.snr == pytest.approx(expected.snr, rel=1e-6)
     assert shown.statistic == pytest.approx(expected.statistic, rel=1e-6)
     np.testing.assert_allclose(shown.positions, expected.positions, atol=1e-4)
+    np.testing.assert_allclose(shown.covariance, expected.covariance, rtol=1e-5, atol=1e-9)
 
 
 def test_report_without_truth_shows_what_was_found():

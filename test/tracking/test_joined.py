@@ -13,7 +13,8 @@ def part(identity, first, amplitudes, offset=0.0, statistic=20.0):
     frames = first + np.arange(len(amplitudes))
     positions = np.column_stack([0.5 * frames, np.full(len(frames), 7.0 + offset)])
     return Trajectory(identity, positions, 3 * amplitudes, np.ones_like(positions),
-                      frames / 25, frames, statistic, float(amplitudes.mean()))
+                      frames / 25, frames, statistic, float(amplitudes.mean()),
+                      covariance=np.tile((1.0 + first) * np.eye(2), (len(frames), 1, 1)))
 
 
 def joined(n_frames, *parts, length=20, hop=10):
@@ -31,13 +32,19 @@ def rows(trajectory):
 NOISE = np.tile([0.0, 1.1, 0.4, 1.6], 5)
 
 
+def test_covariance_is_that_of_the_batch_a_position_comes_from():
+    [one] = joined(40, part(1, 0, NOISE + 5), part(1, 20, NOISE + 5), hop=20)
+    assert one.covariance[:, 1, 1].tolist() == [1.0] * 20 + [21.0] * 20
+    assert not one.covariance[:, 0, 1].any()
+
+
 @pytest.mark.parametrize('n_seen', [2, 9, 17])
 def test_a_part_begins_and_ends_where_its_target_is_seen(n_seen):
     entering, leaving = NOISE.copy(), NOISE.copy()
     entering[-n_seen:] = leaving[:n_seen] = 6.0
     [one] = joined(60, part(1, 10, entering), part(1, 20, leaving))
     assert rows(one).tolist() == list(range(30 - n_seen, 20 + n_seen))
-    for values in (one.velocity[:, 0], one.amplitudes):
+    for values in (one.velocity[:, 0], one.amplitudes, one.covariance[:, 0, 0]):
         np.testing.assert_array_equal(np.flatnonzero(np.isfinite(values)), rows(one))
 
 

@@ -41,6 +41,10 @@ def test_targets_are_found_where_each_frame_shows_them(registration, slope):
     result = detect(frames, registration=registration, background='temporal_median',
                     noise='robust', threshold=11.0, max_speed_px_s=1.6)
     assert len(result.trajectories) == 2
+    for found in result.trajectories:
+        # Through maps that turn and zoom by less than a tenth they hardly change.
+        shares = np.linalg.eigvalsh(found.covariance) * (found.snr * np.sqrt(N_FRAMES) / 2)**2
+        assert (shares > 0.2).all() and (shares < 20).all()
     for truth in positions:
         errors = [np.sqrt(np.mean(np.sum((found.positions - truth)**2, axis=1)))
                   for found in result.trajectories]

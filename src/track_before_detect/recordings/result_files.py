@@ -13,7 +13,7 @@ from track_before_detect.atomic_files import atomic_path
 from track_before_detect.types import Trajectory
 
 CSV_COLUMNS = ('trajectory_id', 'frame', 'stamp_s', 'x_px', 'y_px', 'vx_px_s', 'vy_px_s',
-               'amplitude', 'snr', 'statistic')
+               'amplitude', 'snr', 'statistic', 'var_x_px2', 'cov_xy_px2', 'var_y_px2')
 
 
 def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Trajectory],
@@ -22,8 +22,8 @@ def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Traje
 
     Positions are in pixels of the original frames, stamps in seconds with microseconds. ``snr``
     and ``statistic`` belong to the trajectory as a whole. A complex amplitude is given by its
-    magnitude; a velocity that is not known is left empty. Without trajectories the file holds
-    the header alone.
+    magnitude; a velocity or covariance that is not known is left empty. Without trajectories the
+    file holds the header alone.
 
     Parameters
     ----------
@@ -44,6 +44,7 @@ def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Traje
                     *(_fixed(value, 4) for value in trajectory.velocity[k]),
                     _significant(abs(trajectory.amplitudes[k])),
                     _significant(trajectory.snr), _significant(trajectory.statistic),
+                    *map(_significant, trajectory.covariance[k][np.triu_indices(2)]),
                     *[trajectory.reason] * with_reason])
 
 

@@ -33,9 +33,10 @@ ENCODING_OF_DTYPE = {'uint8': 'mono8', 'uint16': 'mono16', 'float32': '32FC1', '
 
 # The double lies at a multiple of its size.
 POINT_DTYPE = np.dtype({
-    'names': ['x', 'y', 'z', 't', 'id', 'vx', 'vy', 'amplitude', 'snr', 'statistic'],
-    'formats': ['<f4', '<f4', '<f4', '<f8', '<i4', '<f4', '<f4', '<f4', '<f4', '<f4'],
-    'offsets': [0, 4, 8, 16, 12, 24, 28, 32, 36, 40], 'itemsize': 48})
+    'names': ['x', 'y', 'z', 't', 'id', 'vx', 'vy', 'amplitude', 'snr', 'statistic', 'var_x',
+              'cov_xy', 'var_y'],
+    'formats': ['<f4', '<f4', '<f4', '<f8', '<i4', *['<f4'] * 8],
+    'offsets': [0, 4, 8, 16, 12, *range(24, 56, 4)], 'itemsize': 56})
 _POINT_FIELD_TYPES = {
     'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'i4': PointField.INT32}
 
@@ -160,11 +161,12 @@ def points_from_trajectories(trajectories: Iterable[Trajectory], header: Header)
 
     Fields: x and y in pixels, z = 0, t in seconds since the epoch of the stamps (float64), id, vx
     and vy in pixels per second, amplitude (the magnitude), snr and statistic (of the whole
-    trajectory).
+    trajectory), var_x, cov_xy and var_y in pixels squared (NaN where not known).
     """
     rows = [
         (*position, 0.0, trajectory.stamps[row], trajectory.id, *trajectory.velocity[row],
-         abs(trajectory.amplitudes[row]), trajectory.snr, trajectory.statistic)
+         abs(trajectory.amplitudes[row]), trajectory.snr, trajectory.statistic,
+         *trajectory.covariance[row][np.triu_indices(2)])
         for trajectory in trajectories for row, position in _present(trajectory)]
     points = np.array(rows, POINT_DTYPE)
     fields = []

@@ -432,7 +432,9 @@ def joined_batches(batches: Iterable[tuple[float, NDArray]], recorded_s: NDArray
                 amplitudes=own['amplitude'].astype(float),
                 velocity=np.column_stack([own['vx'], own['vy']]).astype(float),
                 stamps=own['t'], frame_indices=frames[points['id'] == identity],
-                statistic=float(own['statistic'][0]), snr=float(own['snr'][0])))
+                statistic=float(own['statistic'][0]), snr=float(own['snr'][0]),
+                covariance=np.column_stack([own[name] for name in (
+                    'var_x', 'cov_xy', 'cov_xy', 'var_y')]).reshape(-1, 2, 2).astype(float)))
         joined.add(np.arange(max(0, newest - length + 1), newest + 1), found)
     return joined.trajectories()
 

@@ -1,9 +1,9 @@
 """Node ``detector``: frames in, trajectories out.
 
 Topics (relative): in ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Float32MultiArray); out
-``trajectories/markers``, ``trajectories/path``, ``trajectories/points``, ``overlay`` and
-``/diagnostics``. Service ``~/flush`` (std_srvs/Trigger) has the frames that were in no batch yet
-searched at once.
+``trajectories/markers``, ``trajectories/path``, ``trajectories/points``, ``overlay``,
+``/diagnostics`` and, where their packages are installed, those of :class:`FieldOutputs`. Service
+``~/flush`` (std_srvs/Trigger) has the frames that were in no batch yet searched at once.
 """
 
 from collections.abc import Callable, Mapping, Set
@@ -50,6 +50,8 @@ from track_before_detect.ros.diagnostics import (
     Warnings,
 )
 from track_before_detect.ros.frame_queue import StreamRequest
+from track_before_detect.ros.outputs.field_outputs import FieldOutputs, SCALE_PARAMETERS
+from track_before_detect.ros.outputs.seen_targets import RadarScale
 from track_before_detect.ros.parameters import (
     NodeParameter,
     option_parameters,
@@ -108,6 +110,7 @@ PARAMETERS = [
     NodeParameter(
         'reliable', False, 'Whether to ask for lost frames to be sent again; a best-effort '
         'publisher is then not heard.', 'boolean'),
+    *SCALE_PARAMETERS,
 ]
 
 
@@ -130,6 +133,7 @@ class DetectorNode(ParameterizedNode):
         shape = (values['frame_height'], values['frame_width'])
         rate = values['frame_rate_hz']
         known = min(shape) > 0 and rate > 0.0
+        self._field_outputs = FieldOutputs(self, values, OUTPUT_DEPTH)
         self._worker = StreamWorker(
             self._request,
             expected_shape=shape if known else None,
@@ -146,6 +150,7 @@ class DetectorNode(ParameterizedNode):
             max_gap_s=values['max_gap_s'] or None, queue_length=values['queue_length'] or None,
             flush_after_s=values['flush_after_s'] or None)
         TrackingPipeline(request.unseen.options)
+        RadarScale.of(values)
         # Kept, so that the files that options name are not read again for what comes next.
         self._request = request
 
@@ -253,6 +258,10 @@ class DetectorNode(ParameterizedNode):
         if self.context.ok() and self._overlay.get_subscription_count():
             pixels = render_overlay(result.batch.frames[-1], trajectories)
             self._send(self._overlay, conversions.image_from_colours(pixels, header))
+        if self.context.ok():
+            for output, message in self._field_outputs.messages(
+                    result, self._worker.status.options):
+                self._send(output, message)
 
     def _send(self, publisher: Publisher, message: Any) -> None:
         try:

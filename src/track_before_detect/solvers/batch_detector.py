@@ -37,6 +37,8 @@ class FoundTrajectory:
         Mean of the statistic of one frame over those in which the target is present.
     reason : str
         Why it is rejected; empty for a target.
+    covariance : array, shape (T, 2, 2), or None
+        Of the positions, NaN where it is absent; None where the detector does not know it.
     """
 
     positions: NDArray[np.float64]
@@ -44,6 +46,7 @@ class FoundTrajectory:
     statistic: float
     snr: float
     reason: str = ''
+    covariance: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True)

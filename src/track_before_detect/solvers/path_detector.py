@@ -31,7 +31,7 @@ from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
 from track_before_detect.solvers.noise_check import passes_everywhere, threshold_bound
 from track_before_detect.solvers.path_statistic import PathStatistic
-from track_before_detect.solvers.refine.refinement import refiner_for
+from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
 from track_before_detect.solvers.refine.target_model import NO_WEIGHTS, TargetModel
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
 from track_before_detect.solvers.search.periodic_columns import (
@@ -169,15 +169,24 @@ class PathDetector(BatchDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch, in the order in which its working set holds them."""
 
-    def trajectory(self, paths: WorkingSet, path: int, value: float) -> FoundTrajectory:
-        """Return the target of a path of this value that is held."""
+    def trajectory(self, paths: WorkingSet, path: int, value: float,
+                   refiner: PathRefiner | None = None) -> FoundTrajectory:
+        """Return the target of a path of this value that is held.
+
+        With its covariance where there is a ``refiner``, that by which it was refined.
+        """
         seen = paths.seen(path)
         present = self.scale.present(paths.positions[path], seen)
+        covariance = None
+        if refiner is not None:
+            with paths.without(path) as frames:
+                covariance = refiner.covariance(frames, paths.positions[path])
+            covariance[~present] = np.nan
         return FoundTrajectory(
             np.where(present[:, None], paths.positions[path], np.nan),
             np.where(present, paths.target_amplitudes(path), np.nan),
             self.scale.statistic(value, len(seen)),
-            self.model.snr(seen[present & paths.visible(path)]))
+            self.model.snr(seen[present & paths.visible(path)]), covariance=covariance)
 
     def result(self, task: Task, found: list[FoundTrajectory], status: str, history: list[Step],
                largest: float = 0.0, gap: float = float('nan')) -> BatchResult:

@@ -67,6 +67,7 @@ class JoinedTrajectories:
         depth = np.full(n_frames, -1)
         positions = np.full((n_frames, 2), np.nan)
         velocity = np.full((n_frames, 2), np.nan)
+        covariance = np.full((n_frames, 2, 2), np.nan)
         trajectories = [part.trajectory for part in parts]
         # Complex where those of a part are.
         amplitudes = np.full(n_frames, np.nan,
@@ -84,10 +85,12 @@ class JoinedTrajectories:
             positions[rows] = np.where(seen[:, None], one.positions, np.nan)[better]
             velocity[rows] = np.where(seen[:, None], one.velocity, np.nan)[better]
             amplitudes[rows] = np.where(seen, one.amplitudes, np.nan)[better]
+            covariance[rows] = np.where(seen[:, None, None], one.covariance, np.nan)[better]
         best = max(trajectories, key=lambda part: part.statistic)
         return Trajectory(best.id, positions, amplitudes, velocity, self._stamps,
                           np.arange(n_frames), best.statistic,
-                          float(np.mean([part.snr for part in trajectories])))
+                          float(np.mean([part.snr for part in trajectories])),
+                          covariance=covariance)
 
     def _there(self, part: _Part, beside: Trajectory, towards: int) -> NDArray[np.bool_]:
         """Return in which frames of a part its target may be, for one end of a trajectory.

@@ -333,8 +333,12 @@ def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch,
     positions[outside] = np.nan
     velocity[outside] = np.nan
     amplitudes[outside] = np.nan
-    return Trajectory(0, positions, amplitudes, velocity, prepared.stamps,
-                      prepared.frame_indices, found.statistic, found.snr, found.reason)
+    covariance = np.full((n_frames, 2, 2), np.nan)
+    if found.covariance is not None:
+        slopes = geometry.slopes(prepared.maps, found.positions)[~outside]
+        covariance[~outside] = slopes @ found.covariance[~outside] @ slopes.swapaxes(1, 2)
+    return Trajectory(0, positions, amplitudes, velocity, prepared.stamps, prepared.frame_indices,
+                      found.statistic, found.snr, found.reason, covariance)
 
 
 def _apart(trajectories: list[Trajectory], distance_px: float) -> list[Trajectory]:

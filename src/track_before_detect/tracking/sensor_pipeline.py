@@ -115,5 +115,7 @@ class SensorPipeline:
         velocity[present] = 0.0
         if len(moments) > 1:
             velocity[present] = np.gradient(positions[present][first], moments, axis=0)[back]
+        unknown = np.empty((0, 2, 2))
         return Trajectory(0, positions, amplitudes, velocity, batch.stamps, batch.frame_indices,
-                          found.statistic, found.snr)
+                          found.statistic, found.snr, found.reason,
+                          unknown if found.covariance is None else found.covariance)

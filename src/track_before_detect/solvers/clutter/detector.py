@@ -92,7 +92,7 @@ class ClutterDetector(PathDetector):
                 break
             tail = self._tail(others, frames.shape[1:])
             level, least = tail.threshold(rate), tail.threshold(rate, min(float(share), 1.0))
-            trajectory = self._trajectory(task, path, level)
+            trajectory = self._trajectory(task, path, level, refiner=refiner)
             if trajectory.statistic <= 1:
                 others.insert(0, path)
                 status = 'converged'
@@ -149,11 +149,11 @@ class ClutterDetector(PathDetector):
             wide[ndimage.maximum_filter(np.isin(parts, own[own > 0]), slope)] = 0
 
     def _trajectory(self, task: Task, path: FoundPath, level: float,
-                    reason: str = '') -> FoundTrajectory:
+                    reason: str = '', refiner: PathRefiner | None = None) -> FoundTrajectory:
         paths = task.paths
         added = paths.add(path.positions, path.cost)
         paths.assign(np.array([added]), paths.best(added)[None])
-        found = self.trajectory(paths, added, path.value)
+        found = self.trajectory(paths, added, path.value, refiner)
         paths.remove(np.array([added]))
         return replace(found, statistic=found.statistic / level, reason=reason)
 

@@ -39,11 +39,13 @@ class ConvexDetector(PathDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
         paths = task.paths
-        result = pursue(task.search, refiner_for(task.targets), paths, self._separation,
+        refiner = refiner_for(task.targets)
+        result = pursue(task.search, refiner, paths, self._separation,
                         PursuitSettings(self.options.continuation), self._start(task), task.watch)
         self._merge_duplicates(task, result.history)
         # Less their costs, so that every statistic meets the same threshold.
-        found = [self.trajectory(paths, path, paths.value(path)) for path in range(len(paths))]
+        found = [self.trajectory(paths, path, paths.value(path), refiner)
+                 for path in range(len(paths))]
         return self.result(task, found, result.status, result.history, result.largest, result.gap)
 
     def _merge_duplicates(self, task: Task, history: list[Step]) -> None:

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.fit.constant_modulus import clip_moduli
 from track_before_detect.kernels.psf.gauss_newton import best_amplitudes, maximise_statistic
-from track_before_detect.kernels.psf.measurement import evaluate
+from track_before_detect.kernels.psf.measurement import curvatures, evaluate, smear_curvatures
+from track_before_detect.solvers.refine.position_covariance import position_covariance
 from track_before_detect.solvers.refine.smooth_motions import motions_of, SmoothMotions
 from track_before_detect.solvers.refine.target_model import TargetModel
 
@@ -51,6 +52,13 @@ class PathRefiner(Protocol):
 
     def value(self, frames: NDArray, positions: NDArray, cost: float) -> float:
         """Return the value of a path: what it adds up over the frames less its cost."""
+
+    def covariance(self, frames: NDArray, positions: NDArray) -> NDArray[np.float64]:
+        """Return the covariance of the positions of a path that was refined, shape (T, 2, 2).
+
+        Pixels squared, x before y; NaN where the target is absent, zero across frames of a single
+        row or column.
+        """
 
 
 def refiner_for(targets: TargetModel) -> PathRefiner:
@@ -100,6 +108,27 @@ class Refiner:
         """Return the value of a path: what it adds up over the frames less its cost."""
         squared = float(self.gains(frames, positions).sum())
         return self._model.value(math.sqrt(squared)) - cost * self.cost_scale(frames, positions)
+
+    def covariance(self, frames: NDArray, positions: NDArray) -> NDArray[np.float64]:
+        """Return the covariance of the positions, see :meth:`PathRefiner.covariance`."""
+        n_frames, model = len(positions), self._model
+        seen, norms = self._evaluate(frames, positions)
+        amplitudes = np.empty(n_frames)
+        best_amplitudes(seen, norms, model.code, amplitudes)
+        # Of complex noise each part has half the variance.
+        covariance = position_covariance(
+            *self._motions.families_around(positions), self._curvature(positions), seen[:, 1:],
+            amplitudes, model.n_numbers(n_frames), 0.5 if model.is_complex else 1.0)
+        extent = self._targets.measurement.limits(frames.shape[1:]) > 0
+        return covariance * np.outer(extent, extent)
+
+    def _curvature(self, positions: NDArray) -> NDArray[np.float64]:
+        """Return the curvature of the statistic of each frame, shape (T, 2, 2)."""
+        along, cross = np.empty((len(positions), 2)), np.zeros(len(positions))
+        curvatures(self._compiled, positions, along)
+        if not len(self._compiled.maps) and self._compiled.optics[0].exposure > 0.0:
+            smear_curvatures(self._compiled.optics[0], positions, along, cross)
+        return np.stack([along[:, 0], cross, cross, along[:, 1]], axis=1).reshape(-1, 2, 2)
 
     def gains(self, frames: NDArray, positions: NDArray) -> NDArray[np.float64]:
         """Return what each frame adds to the squared statistic of a path, shape (T,)."""
@@ -196,6 +225,14 @@ class PartialRefiner:
         """Return the value of a path: what it adds up over its frames less its cost."""
         statistic, cost_scale = self._statistic(frames, positions)
         return self._model.value(statistic) - cost * cost_scale
+
+    def covariance(self, frames: NDArray, positions: NDArray) -> NDArray[np.float64]:
+        """Return the covariance of the positions, see :meth:`PathRefiner.covariance`."""
+        first, last = _ends(positions)
+        inside = slice(first, last + 1)
+        whole = np.full((len(positions), 2, 2), np.nan)
+        whole[inside] = self._refiner(first, last).covariance(frames[inside], positions[inside])
+        return whole
 
     def _fall(self, frames: NDArray, positions: NDArray, cost: float, threshold: float,
               t_convex: float) -> float:

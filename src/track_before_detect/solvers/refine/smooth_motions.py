@@ -20,6 +20,8 @@ HIGHEST_DEGREE = 3
 # A path this many grid steps longer than a target gets at its largest speed costs as much as one
 # turn; it grows as the square (docs/constants/refine.md).
 OVERLONG_STEPS = 2.5
+# Distance from a family up to which a motion belongs to it, px: below any error of a position.
+SAME_MOTION_PX = 1e-3
 
 
 class SmoothMotions(ABC):
@@ -46,6 +48,22 @@ class SmoothMotions(ABC):
     def candidates(self, positions: NDArray, cost: float,
                    ) -> Iterator[tuple[NDArray, NDArray, float | None]]:
         """Yield start (T, 2), basis (T, 2, B) and cost of each family; cost None: by its turns."""
+
+    @abstractmethod
+    def families(self, positions: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
+        """Yield the nearest motion (T, 2) and the basis (T, 2, B) of each, the smallest first."""
+
+    def families_around(self, positions: NDArray) -> tuple[NDArray, NDArray]:
+        """Return the bases of the smallest family that a motion belongs to, and of the largest.
+
+        A motion that belongs to none, as its displacement from another does, was as free as the
+        largest.
+        """
+        families = list(self.families(positions))
+        largest = families[-1][1]
+        own = (basis for nearest, basis in families
+               if np.abs(nearest - positions).max() < SAME_MOTION_PX)
+        return next(own, largest), largest
 
     @abstractmethod
     def allowed(self, positions: NDArray) -> bool:
@@ -108,6 +126,12 @@ class _PlaneMotions(SmoothMotions):
         if self._graph.n_segments > 1:
             yield positions, self._hats_in_plane, None
 
+    def families(self, positions: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
+        for basis, projection, both, _ in self._polynomials:
+            yield basis @ (projection @ positions), both
+        if self._graph.n_segments > 1 and self._moving:
+            yield self._hats @ (self._to_hats @ positions), self._hats_in_plane
+
     def allowed(self, positions: NDArray) -> bool:
         intervals = np.diff(self._times)
         later = intervals > 0
@@ -155,6 +179,10 @@ class _RangeDopplerMotions(SmoothMotions):
         for basis, projection, price in self._families:
             parameters = projection @ (positions - self._offset).ravel()
             yield self._offset + basis @ parameters, basis, price
+
+    def families(self, positions: NDArray) -> Iterator[tuple[NDArray, NDArray]]:
+        for nearest, basis, _ in self.candidates(positions, 0.0):
+            yield nearest, basis
 
     def allowed(self, positions: NDArray) -> bool:
         if len(positions) < 2:
