@@ -6,8 +6,8 @@ import subprocess
 
 import pytest
 
-from track_before_detect.ros import child_process
-from track_before_detect.ros.child_process import ChildProcess
+from track_before_detect.ros.demo import child_process
+from track_before_detect.ros.demo.child_process import ChildProcess
 
 
 def test_process_ends_with_its_block(tmp_path):

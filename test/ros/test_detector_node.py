@@ -27,7 +27,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from track_before_detect.ros import conversions  # noqa: E402
-from track_before_detect.ros.detector_node import DetectorNode, spin_and_stop  # noqa: E402
+from track_before_detect.ros.detector_node import DetectorNode  # noqa: E402
 
 RATE_HZ = 25.0
 SHAPE = (32, 40)
