@@ -1,7 +1,5 @@
 """Where ``python -m track_before_detect.ros.demo`` begins and ends."""
 
-import sys
-
 from track_before_detect.ros.executables.ending import Ending
 
 if __name__ == '__main__':
@@ -9,4 +7,4 @@ if __name__ == '__main__':
     # interrupted; the nodes, which are told a little later, end first.
     ending = Ending(130, grace_s=1.85)
     from track_before_detect.ros.demo.play import main
-    sys.exit(main(ending))
+    main(ending)

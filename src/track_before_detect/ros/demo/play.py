@@ -12,7 +12,7 @@ import os
 from pathlib import Path
 import sys
 import time
-from typing import Any, TextIO
+from typing import Any, NoReturn, TextIO
 
 from diagnostic_msgs.msg import DiagnosticArray
 import numpy as np
@@ -185,22 +185,24 @@ class StatusLine:
             self._stream.flush()
 
 
-def main(ending: Ending, arguments: Sequence[str] | None = None) -> int:
-    """Run the demo and return its exit code."""
+def main(ending: Ending, arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the demo and end the process."""
     status = StatusLine()
     try:
         options = _parser().parse_args(arguments)
         ending.hold()
-        return ending.leave(_run(options, status, ending))
+        code = _run(options, status, ending)
     except DemoError as error:
         status.clear()
         if error.code == INTERRUPTED:
             print(f'demo: {error}', file=sys.stderr)
-            return ending.leave(INTERRUPTED)
-        return fail('demo', error, error.code)
+            code = INTERRUPTED
+        else:
+            code = fail('demo', error, error.code)
     except (TbdError, OSError) as error:
         status.clear()
-        return fail('demo', error)
+        code = fail('demo', error)
+    ending.leave(code)
 
 
 def _parser() -> Parser:

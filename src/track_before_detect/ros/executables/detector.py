@@ -1,18 +1,18 @@
 """Executable ``detector``."""
 
-import sys
+from typing import NoReturn
 
 from track_before_detect.ros.executables.ending import Ending
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node and return the exit code."""
+def main(args: list[str] | None = None) -> NoReturn:
+    """Run the node and end the process."""
     # Before what takes a second to import.
     ending = Ending()
     from track_before_detect.ros import detector_node
     from track_before_detect.ros.executables.running import run, spin
-    return run('detector', detector_node, detector_node.DetectorNode, spin, ending, args)
+    run('detector', detector_node, detector_node.DetectorNode, spin, ending, args)
 
 
 if __name__ == '__main__':
-    sys.exit(main())
+    main()

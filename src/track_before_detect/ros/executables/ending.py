@@ -9,7 +9,7 @@ import signal
 import sys
 import threading
 import time
-from typing import Any
+from typing import Any, NoReturn
 
 # What is left of two seconds for the process to end by itself.
 GRACE_S = 1.5
@@ -47,9 +47,7 @@ class Ending:
         signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, _nothing)
-        self._thread = threading.Thread(
-            target=self._watch, args=(reader,), name='ending', daemon=True)
-        self._thread.start()
+        threading.Thread(target=self._watch, args=(reader,), name='ending', daemon=True).start()
 
     def hold(self, wake: Callable[[], None] | None = None) -> None:
         """Let a signal set :attr:`requested` from now on, and call ``wake`` in another thread."""
@@ -59,18 +57,15 @@ class Ending:
             if self.requested:
                 self._wake()
 
-    def leave(self, code: int) -> int:
-        """Return the exit code, at the end of the process.
+    def leave(self, code: int) -> NoReturn:
+        """End the process, all being put away.
 
-        While a thread is still at work the process ends here: a compilation cannot be
-        interrupted, and leaving Python under it would crash.
+        Python's own end would let go of the signals first, so that a second one made itself felt,
+        and it crashes under a compilation, which cannot be interrupted.
         """
-        known = {self._thread, threading.current_thread()}
-        if set(threading.enumerate()) - known:
-            sys.stdout.flush()
-            sys.stderr.flush()
-            os._exit(code)
-        return code
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)
 
     def _watch(self, reader: int) -> None:
         while os.read(reader, 1)[0] not in (signal.SIGINT, signal.SIGTERM):

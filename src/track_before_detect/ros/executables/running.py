@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import sys
 import textwrap
-from typing import Protocol, TypeVar
+from typing import NoReturn, Protocol, TypeVar
 
 import rclpy
 from rclpy.exceptions import ParameterException
@@ -34,8 +34,10 @@ class NodeModule(Protocol):
 
 
 def run(name: str, module: NodeModule, make_node: Callable[[], AnyNode], spin: Spin[AnyNode],
-        ending: Ending, args: list[str] | None = None) -> int:
-    """Run a node until it is done or interrupted.
+        ending: Ending, args: list[str] | None = None) -> NoReturn:
+    """Run a node until it is done or interrupted, and end the process.
+
+    The exit code is 0 when done or interrupted, 2 when a parameter or an input cannot be used.
 
     Parameters
     ----------
@@ -51,11 +53,6 @@ def run(name: str, module: NodeModule, make_node: Callable[[], AnyNode], spin: S
         Tells when a signal has come.
     args : list of str, optional
         Command line; that of the process by default.
-
-    Returns
-    -------
-    int
-        0 when done or interrupted, 2 when a parameter or an input cannot be used.
     """
     node, code = None, EXIT_DONE
     ending.hold()
@@ -81,7 +78,7 @@ def run(name: str, module: NodeModule, make_node: Callable[[], AnyNode], spin: S
         if node is not None:
             node.destroy_node()
         try_shutdown()
-    return ending.leave(code)
+    ending.leave(code)
 
 
 def spin(node: Node, executor: SingleThreadedExecutor, ending: Ending) -> None:
