@@ -1,6 +1,5 @@
 """The detector as a managed node, managed over DDS as nav2's lifecycle manager does."""
 
-import signal
 import threading
 import time
 
@@ -104,15 +103,6 @@ def test_a_manager_leads_it_through_every_state(launch, station, moving_target):
     assert 'Traceback' not in detector.output
 
 
-def test_what_cannot_be_prepared_leaves_it_unconfigured_until_a_parameter_is_changed(
-        launch, station):
-    station.listen(DiagnosticArray, '/diagnostics')
-    # Frames smaller than the PSF.
-    detector = launch('detector', *ARGUMENTS, '-p', 'psf_sigma_px:=20.0', '-p', 'preset:=none',
-                      '-p', 'batch_length:=2', '-p', 'hop:=1', '-p', 'detector:=mff_dpr')
-    detector.wait_for_line('failed|ready')
-
-
 def test_it_shares_an_executor_with_other_nodes_of_a_process(ros_domain, moving_target):
     rclpy.init()
     executor = SingleThreadedExecutor()
@@ -142,11 +132,3 @@ def test_it_shares_an_executor_with_other_nodes_of_a_process(ros_domain, moving_
             node.destroy_node()
         rclpy.shutdown()
     assert 'search' not in {thread.name for thread in threading.enumerate()}
-
-
-def test_it_is_active_soon_after_the_start(launch, station):
-    began_s = time.monotonic()
-    detector = launch('detector', *ARGUMENTS)
-    detector.wait_for_line('active: frames are searched')
-    assert detector.interrupt(signal.SIGTERM) == 0
-    assert time.monotonic() - began_s < 60.0

@@ -53,7 +53,7 @@ def end(process, *numbers):
     ('executables.detector', 0), ('executables.frame_publisher', 0), ('demo', 130)])
 def test_signals_at_any_time_after_the_start_end_it_in_time_without_a_traceback(
         ros_domain, tmp_path, name, code):
-    for delay_s in (0.0, 0.3, 0.7, 1.2, 2.0):
+    for delay_s in (0.0, 0.4, 0.8, 1.6):
         process = start(name, folder=tmp_path)
         wait_until_it_handles_signals(process)
         time.sleep(delay_s)
@@ -75,7 +75,7 @@ def test_a_signal_ends_a_preparation(launch, tmp_path, monkeypatch, doing):
     detector = launch('detector', '-p', 'frame_height:=256', '-p', 'frame_width:=320', '-p',
                       'frame_rate_hz:=10.0', '-p', 'preset:=none')
     detector.wait_for_line(doing)
-    time.sleep(1.0)
+    time.sleep(0.2)
     assert end(detector.process, signal.SIGINT, signal.SIGINT) < LONGEST_S
     assert detector.wait() == 0
     assert 'Traceback' not in detector.output and 'rror' not in detector.output

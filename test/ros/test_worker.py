@@ -51,13 +51,14 @@ def start():
     workers = []
     PREPARES.clear()
 
-    def start_worker(preset, told):
+    def start_worker(preset, told, **expected):
         warnings, results, choices = [], [], []
         started = StreamWorker(
             StreamRequest(preset, told, queue_length=100), on_result=results.append,
             on_reset=lambda: None, on_state=lambda: None,
             on_choice=lambda: choices.append(started.status.reasons),
-            on_warning=lambda kind, text: warnings.append(text), make_pipeline=Pipeline)
+            on_warning=lambda kind, text: warnings.append(text), make_pipeline=Pipeline,
+            **expected)
         started.warnings, started.results, started.choices = warnings, results, choices
         workers.append(started)
         started.start()
@@ -103,6 +104,19 @@ def test_a_first_stamp_of_zero_does_not_spoil_the_preparation(stream):
     wait_for_batches(stream, 1)
     assert stream.queue.counters.failures == 0
     assert 'found a gap of 1.7e+09 s' in stream.warnings[0]
+
+
+def test_whoever_waits_for_the_preparation_is_told_how_it_went(start):
+    expected = {'expected_shape': (3, 5), 'expected_interval_s': 0.1}
+    worker = start('none', PLAIN, **expected)
+    assert worker.wait_until_prepared() and worker.status.state == 'ready'
+    worker = start('none', PLAIN)
+    assert worker.wait_until_prepared() and worker.status.state == 'waiting for frames'
+    worker = start('none', {**PLAIN, 'psf_sigma_px': BROKEN_PX}, **expected)
+    assert not worker.wait_until_prepared() and worker.status.state == 'failed'
+    worker = start('none', {**PLAIN, 'psf_sigma_px': SLOW_PX}, **expected)
+    worker.queue.close()
+    assert not worker.wait_until_prepared()
 
 
 def test_a_failed_preparation_is_tried_again_when_the_stream_starts_again(stream):

@@ -47,6 +47,7 @@ from track_before_detect.ros.diagnostics import (
     Warnings,
 )
 from track_before_detect.ros.frame_queue import StreamRequest
+from track_before_detect.ros.logs.throttled import ThrottledLog
 from track_before_detect.ros.managed_node import (
     ACTIVE,
     AUTOSTART,
@@ -56,7 +57,6 @@ from track_before_detect.ros.managed_node import (
     UNCONFIGURED,
 )
 from track_before_detect.ros.parameters import NodeParameter, option_parameters, option_values
-from track_before_detect.ros.throttled import Throttled
 from track_before_detect.ros.worker import StreamResult, StreamWorker
 from track_before_detect.tracking.batcher import DEFAULT_LENGTH
 from track_before_detect.tracking.pipeline import TrackingPipeline
@@ -68,7 +68,6 @@ OUTPUT_DEPTH = 50
 DIAGNOSTICS_PERIOD_S = 1.0
 PROGRESS_PERIOD_S = 2.0
 TRACKED_PERIOD_S = 5.0
-REPEAT_PERIOD_S = 5.0
 # Without a time of /clock until then somebody waits in vain.
 CLOCK_TIMEOUT_S = 5.0
 LIFETIME_BATCHES = 3.0
@@ -136,10 +135,9 @@ class DetectorNode(ManagedNode):
         self._last_header = Header()
         self._warnings = Warnings()
         self._reception = Reception()
-        self._last_state = ''
-        self._states = Throttled(self._log_state, PROGRESS_PERIOD_S)
-        self._choices = Throttled(self._log_choice, REPEAT_PERIOD_S)
-        self._changes = Throttled(self._log_changes, REPEAT_PERIOD_S)
+        self._log_state, self._log_change, self._log_choice = (
+            ThrottledLog(lambda line: self.get_logger().info(line)) for _ in range(3))
+        self._logged_state = ('', ''), 0.0
         self._began_s = time.monotonic()
         self._active = self._ending = False
         self._inputs: list[Subscription] = []
@@ -216,8 +214,7 @@ class DetectorNode(ManagedNode):
 
     def on_change(self, names: list[str]) -> None:
         """Hand changed parameters to the worker, which uses them when they are prepared."""
-        for name in names:
-            self._changes.put(name)
+        self._log_change(f'changed: {", ".join(names)}; in effect as soon as it is prepared')
         if self.lifecycle_state != UNCONFIGURED:
             self._worker.queue.configure(self._request)
         elif self._worker.status.state == 'failed' and self.values()['autostart']:
@@ -278,7 +275,7 @@ class DetectorNode(ManagedNode):
             DiagnosticArray, '/diagnostics', OUTPUT_DEPTH)
         self.create_service(Trigger, '~/flush', self._flush)
         # Diagnostics must go on when a simulated clock stands still.
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._tick,
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._look_around,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _event_callbacks(self, topic: str) -> SubscriptionEventCallbacks:
@@ -375,29 +372,25 @@ class DetectorNode(ManagedNode):
 
     def _state_changed(self) -> None:
         status = self._worker.status
-        others, self._last_state = status.state != self._last_state, status.state
-        text = '; '.join(filter(None, [f'{status.state}: {status.detail}', status.beside]))
-        if self._states.put(text, at_once=others):
-            self._publish_diagnostics()
-
-    def _log_state(self, texts: list[str]) -> None:
-        if self._last_state == 'failed':
-            self.get_logger().error(texts[-1])
+        # What it is ready for is news; how far a preparation is, every few seconds.
+        state = status.state, status.detail * (status.state == 'ready')
+        last_state, last_s = self._logged_state
+        now_s = time.monotonic()
+        if state == last_state and now_s - last_s < PROGRESS_PERIOD_S:
+            return
+        self._logged_state = state, now_s
+        line = '; '.join(filter(None, [f'{status.state}: {status.detail}', status.beside]))
+        if status.state == 'failed':
+            self.get_logger().error(line)
         else:
-            self.get_logger().info(texts[-1])
+            self._log_state(line)
+        self._publish_diagnostics()
 
     def _choice_made(self) -> None:
         status = self._worker.status
-        self._choices.put([*(f'preset {status.preset}: {reason}' for reason in status.reasons),
-                           f'options: {option_words(status.options)}'])
-
-    def _log_choice(self, choices: list[list[str]]) -> None:
-        for line in choices[-1]:
-            self.get_logger().info(line)
-
-    def _log_changes(self, names: list[str]) -> None:
-        self.get_logger().info(
-            f'changed: {", ".join(dict.fromkeys(names))}; in effect as soon as it is prepared')
+        for reason in status.reasons:
+            self._log_choice(f'preset {status.preset}: {reason}')
+        self._log_choice(f'options: {option_words(status.options)}')
 
     def _warn(self, kind: str, text: str) -> None:
         """Show a warning in the diagnostics, and log it unless its kind was logged just now."""
@@ -406,16 +399,17 @@ class DetectorNode(ManagedNode):
         if is_new:
             self.get_logger().warning(text)
 
-    def _tick(self) -> None:
-        for throttled in (self._states, self._choices, self._changes):
-            throttled.tick()
-        self._publish_diagnostics()
-
-    def _publish_diagnostics(self) -> None:
+    def _look_around(self) -> None:
+        """Warn of what is wrong around the node, log what was held back, say how it is."""
         if (self.get_parameter('use_sim_time').value and not self.get_clock().now().nanoseconds
                 and time.monotonic() - self._began_s > CLOCK_TIMEOUT_S):
             self._warn('clock', 'use_sim_time is set, but no time came on /clock: is the bag '
                        'played with --clock, or the simulation running?')
+        for log in (self._log_state, self._log_change, self._log_choice):
+            log.catch_up()
+        self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
         queue, status = self._worker.queue, copy(self._worker.status)
         lifecycle = self.lifecycle_state
         if lifecycle in (UNCONFIGURED, INACTIVE, FINALIZED) and status.state != 'failed':
