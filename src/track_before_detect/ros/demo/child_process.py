@@ -51,6 +51,12 @@ class ChildProcess:
                 env={**os.environ, **self._environment})
 
     @property
+    def pid(self) -> int:
+        """Number of the process."""
+        assert self._process is not None
+        return self._process.pid
+
+    @property
     def exit_code(self) -> int | None:
         """Exit code, None while it runs."""
         assert self._process is not None
