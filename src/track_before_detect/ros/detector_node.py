@@ -17,7 +17,9 @@ from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import (
+    PublisherEventCallbacks,
     QoSMessageLostInfo,
+    QoSOfferedIncompatibleQoSInfo,
     QoSRequestedIncompatibleQoSInfo,
     SubscriptionEventCallbacks,
 )
@@ -266,13 +268,15 @@ class DetectorNode(ManagedNode):
 
     def _create_outputs(self) -> None:
         def publisher(kind: type, topic: str) -> Publisher:
-            return self.create_lifecycle_publisher(kind, topic, OUTPUT_DEPTH)
+            return self.create_lifecycle_publisher(
+                kind, topic, OUTPUT_DEPTH, event_callbacks=self._output_events(topic))
         self._markers = publisher(MarkerArray, 'trajectories/markers')
         self._paths = publisher(Path, 'trajectories/path')
         self._points = publisher(PointCloud2, 'trajectories/points')
         self._overlay = publisher(Image, 'overlay')
         self._diagnostics = self.create_publisher(
-            DiagnosticArray, '/diagnostics', OUTPUT_DEPTH)
+            DiagnosticArray, '/diagnostics', OUTPUT_DEPTH,
+            event_callbacks=self._output_events('/diagnostics'))
         self.create_service(Trigger, '~/flush', self._flush)
         # Diagnostics must go on when a simulated clock stands still.
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._look_around,
@@ -291,7 +295,21 @@ class DetectorNode(ManagedNode):
             self._reception.n_lost += event.total_count_change
             self._warn(f'lost {topic}', f'{event.total_count} messages on {topic!r} were lost')
 
-        return SubscriptionEventCallbacks(incompatible_qos=incompatible, message_lost=lost)
+        return SubscriptionEventCallbacks(
+            incompatible_qos=incompatible, message_lost=lost, use_default_callbacks=False)
+
+    def _output_events(self, topic: str) -> PublisherEventCallbacks:
+        """Return what is done about events of an output.
+
+        Each kind of event costs every wait of the executor; the other defaults are left out.
+        """
+        def incompatible(event: QoSOfferedIncompatibleQoSInfo) -> None:
+            policy = qos_policy_name_from_kind(event.last_policy_kind)
+            self._warn(f'qos {topic}', (
+                f'a subscriber of {topic!r} asks for a quality of service ({policy}) that is not '
+                'offered, so it receives nothing'))
+
+        return PublisherEventCallbacks(incompatible_qos=incompatible, use_default_callbacks=False)
 
     def _take_image(self, message: Image) -> None:
         self._take(lambda: conversions.frame_from_image(message), message.header)
