@@ -157,7 +157,8 @@ class DetectorNode(ManagedNode):
             return TransitionCallbackReturn.FAILURE
         self._worker.start()
         if not self._worker.wait_until_prepared():
-            self._worker.stop(STOP_TIMEOUT_S)
+            if not self._ending:
+                self._worker.stop(STOP_TIMEOUT_S)
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
 
