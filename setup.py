@@ -46,8 +46,8 @@ setup(
     entry_points={
         'console_scripts': [
             f'tbd = {PACKAGE}.cli:main',
-            f'detector = {PACKAGE}.ros.detector_node:main',
-            f'frame_publisher = {PACKAGE}.ros.frame_publisher_node:main',
+            f'detector = {PACKAGE}.ros.executables.detector:main',
+            f'frame_publisher = {PACKAGE}.ros.executables.frame_publisher:main',
         ],
     },
 )

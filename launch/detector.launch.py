@@ -26,6 +26,9 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument(
             'use_sim_time', default_value='false',
             description='Whether to follow /clock, as for a bag played with --clock.'),
+        DeclareLaunchArgument(
+            'autostart', default_value='true',
+            description='Whether the node configures and activates itself.'),
         Node(
             package='track_before_detect',
             executable='detector',
@@ -34,8 +37,8 @@ def generate_launch_description() -> LaunchDescription:
             output='screen',
             parameters=[
                 LaunchConfiguration('params_file'),
-                {'use_sim_time': ParameterValue(
-                    LaunchConfiguration('use_sim_time'), value_type=bool)},
+                {name: ParameterValue(LaunchConfiguration(name), value_type=bool)
+                 for name in ('use_sim_time', 'autostart')},
             ],
             remappings=[
                 ('image', LaunchConfiguration('image')),

@@ -9,13 +9,13 @@ from track_before_detect.errors import (
     ParameterError,
     TbdError,
 )
-from track_before_detect.options import DetectorOptions
-from track_before_detect.types import DetectionResult, Step, Trajectory
 
 if TYPE_CHECKING:
     from track_before_detect.detection import detect, detect_sensors, Sensor
     from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf
+    from track_before_detect.options import DetectorOptions
     from track_before_detect.solvers.given_paths.fit_paths import fit_paths, FittedPaths
+    from track_before_detect.types import DetectionResult, Step, Trajectory
 
 __version__ = '0.1.0'
 
@@ -37,12 +37,17 @@ __all__ = [
     'fit_paths',
 ]
 
-# Imported when they are first asked for: loading the compiler takes a second.
+# Imported when they are first asked for: loading the compiler takes a second, and what runs before
+# cannot be interrupted cleanly.
 _HOMES = {
     'ArrayPsf': 'models.measurement.psf',
+    'DetectionResult': 'types',
+    'DetectorOptions': 'options',
     'FittedPaths': 'solvers.given_paths.fit_paths',
     'GaussianPsf': 'models.measurement.psf',
     'Sensor': 'detection',
+    'Step': 'types',
+    'Trajectory': 'types',
     'detect': 'detection',
     'detect_sensors': 'detection',
     'fit_paths': 'solvers.given_paths.fit_paths',

@@ -35,7 +35,7 @@ class NodeProcess:
     """A node in a process of its own, and what it prints."""
 
     def __init__(self, name, *ros_args):
-        command = [sys.executable, '-m', f'track_before_detect.ros.{name}_node']
+        command = [sys.executable, '-m', f'track_before_detect.ros.executables.{name}']
         if ros_args:
             command += ['--ros-args', *ros_args]
         source = str(Path(track_before_detect.__file__).parents[1])

@@ -19,8 +19,8 @@ import track_before_detect as tbd
 from track_before_detect.options import DetectorOptions
 from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.ros import conversions
-from track_before_detect.ros.demo import joined_batches
-from track_before_detect.ros.demo_report import report
+from track_before_detect.ros.demo.play import joined_batches
+from track_before_detect.ros.demo.report import report
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.types import FrameBatch, Trajectory

@@ -1,11 +1,9 @@
 """The detector as a process, fed and heard over DDS."""
 
-import os
 import pathlib
 import re
 import signal
 import sys
-import time
 
 import pytest
 
@@ -27,7 +25,7 @@ from std_srvs.srv import Trigger  # noqa: E402
 from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from track_before_detect.ros import conversions  # noqa: E402
-from track_before_detect.ros.detector_node import DetectorNode, spin_and_stop  # noqa: E402
+from track_before_detect.ros.detector_node import DetectorNode  # noqa: E402
 
 RATE_HZ = 25.0
 SHAPE = (32, 40)
@@ -371,7 +369,6 @@ def test_a_change_reads_the_file_of_an_option_once_alone_and_once_with_the_other
         assert node.set_parameters([Parameter('psf', value=str(path))])[0].successful
         assert [str(name) for name in opened].count(str(path)) == 2
     finally:
-        assert node.stop()
         node.destroy_node()
         rclpy.shutdown()
 
@@ -418,36 +415,6 @@ def test_a_signal_ends_it_cleanly(launch, station, number, moving_target):
     assert detector.interrupt(number) == 0
     assert 'Traceback' not in detector.output
     assert 'rror' not in detector.output
-
-
-def test_a_second_interrupt_changes_nothing(launch, station):
-    detector = start(launch, station)
-    detector.process.send_signal(signal.SIGINT)
-    assert detector.interrupt() == 0
-    assert 'Traceback' not in detector.output
-
-
-def test_an_interrupt_while_the_search_is_waited_for_changes_nothing():
-    waited = []
-
-    class Node:
-        def stop(self):
-            os.kill(os.getpid(), signal.SIGINT)
-            # Where the handler of Python would run.
-            time.sleep(0.01)
-            waited.append(True)
-            return True
-
-    def interrupted(node):
-        raise KeyboardInterrupt('the first one')
-
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    try:
-        with pytest.raises(KeyboardInterrupt, match='the first one'):
-            spin_and_stop(Node(), interrupted)
-    finally:
-        signal.signal(signal.SIGINT, before)
-    assert waited
 
 
 def test_a_publisher_that_cannot_be_heard_is_named_loudly(launch, station):

@@ -1,5 +1,6 @@
 """The search thread with a pipeline of the test's own; nothing is sent."""
 
+import threading
 import time
 
 import numpy as np
@@ -14,6 +15,11 @@ TIMEOUT_S = 60.0
 PLAIN = {'batch_length': 4, 'hop': 4}
 
 
+# Widths of the PSF that take until PREPARES is set to prepare, and that never can be.
+SLOW_PX, BROKEN_PX = 5.0, 6.0
+PREPARES = threading.Event()
+
+
 class Pipeline:
     """Finds nothing, and takes no frames that are a second or more apart."""
 
@@ -26,10 +32,14 @@ class Pipeline:
     def warm_up(self, shape, interval_s, n_frames, progress):
         if interval_s >= 1.0:
             raise ParameterError(f'the interval is {interval_s:g} s')
-        return 10.0
+        if self.options.psf_sigma_px == BROKEN_PX:
+            raise ParameterError('this width cannot be prepared')
+        while self.options.psf_sigma_px == SLOW_PX and not PREPARES.wait(0.01):
+            progress('calibrating', 0.5)
+        return self.options.threshold or 10.0
 
     def process(self, batch, progress):
-        return DetectionResult([], 10.0, 'converged')
+        return DetectionResult([], self.options.threshold or 10.0, 'converged')
 
     def reset(self):
         pass
@@ -39,14 +49,16 @@ class Pipeline:
 def start():
     """Start workers, and end them with the test."""
     workers = []
+    PREPARES.clear()
 
-    def start_worker(preset, told):
+    def start_worker(preset, told, **expected):
         warnings, results, choices = [], [], []
         started = StreamWorker(
             StreamRequest(preset, told, queue_length=100), on_result=results.append,
             on_reset=lambda: None, on_state=lambda: None,
             on_choice=lambda: choices.append(started.status.reasons),
-            on_warning=lambda kind, text: warnings.append(text), make_pipeline=Pipeline)
+            on_warning=lambda kind, text: warnings.append(text), make_pipeline=Pipeline,
+            **expected)
         started.warnings, started.results, started.choices = warnings, results, choices
         workers.append(started)
         started.start()
@@ -73,6 +85,13 @@ def feed(stream, stamps, shape=(3, 5), make=np.zeros):
     assert counters.used + counters.refused == counters.received
 
 
+def wait_for(condition):
+    end_s = time.monotonic() + TIMEOUT_S
+    while not condition() and time.monotonic() < end_s:
+        time.sleep(0.005)
+    assert condition()
+
+
 def wait_for_batches(stream, n_batches):
     end_s = time.monotonic() + TIMEOUT_S
     while stream.queue.counters.batches < n_batches and time.monotonic() < end_s:
@@ -85,6 +104,19 @@ def test_a_first_stamp_of_zero_does_not_spoil_the_preparation(stream):
     wait_for_batches(stream, 1)
     assert stream.queue.counters.failures == 0
     assert 'found a gap of 1.7e+09 s' in stream.warnings[0]
+
+
+def test_whoever_waits_for_the_preparation_is_told_how_it_went(start):
+    expected = {'expected_shape': (3, 5), 'expected_interval_s': 0.1}
+    worker = start('none', PLAIN, **expected)
+    assert worker.wait_until_prepared() and worker.status.state == 'ready'
+    worker = start('none', PLAIN)
+    assert worker.wait_until_prepared() and worker.status.state == 'waiting for frames'
+    worker = start('none', {**PLAIN, 'psf_sigma_px': BROKEN_PX}, **expected)
+    assert not worker.wait_until_prepared() and worker.status.state == 'failed'
+    worker = start('none', {**PLAIN, 'psf_sigma_px': SLOW_PX}, **expected)
+    worker.queue.close()
+    assert not worker.wait_until_prepared()
 
 
 def test_a_failed_preparation_is_tried_again_when_the_stream_starts_again(stream):
@@ -201,11 +233,68 @@ def test_a_preset_that_is_changed_holds_from_the_next_batch_on(start):
     feed(stream, 0.1 * np.arange(24), (24, 32), scene)
     wait_for_batches(stream, 2)
     stream.queue.configure(StreamRequest('none', PLAIN, queue_length=100))
+    wait_for(lambda: stream.status.preset == 'none')
     feed(stream, 2.4 + 0.1 * np.arange(4), (24, 32), scene)
     wait_for_batches(stream, 3)
     assert stream.status.options.background == 'none' and len(stream.results[-1].batch) == 4
     # The first frames are known by now.
     stream.queue.configure(StreamRequest('auto', PLAIN, queue_length=100))
+    wait_for(lambda: stream.status.preset == 'auto')
     feed(stream, 2.8 + 0.1 * np.arange(4), (24, 32), scene)
     wait_for_batches(stream, 4)
     assert stream.status.options.background != 'none' and len(stream.results[-1].batch) == 4
+
+
+def ask(stream, **told):
+    stream.queue.configure(StreamRequest('none', {**PLAIN, **told}, queue_length=100))
+
+
+def test_a_change_that_takes_long_to_prepare_leaves_the_search_going_on_until_it_is_ready(stream):
+    feed(stream, 0.25 * np.arange(4))
+    ask(stream, psf_sigma_px=SLOW_PX, threshold=20.0)
+    wait_for(lambda: stream.status.beside == 'calibrating other options: 50 %')
+    feed(stream, 1.0 + 0.25 * np.arange(8))
+    wait_for_batches(stream, 3)
+    assert [result.detection.threshold for result in stream.results] == [10.0] * 3
+    assert stream.status.state == 'ready' and stream.status.options.psf_sigma_px == 1.0
+    PREPARES.set()
+    wait_for(lambda: stream.status.threshold == 20.0)
+    assert stream.status.beside == '' and stream.status.options.psf_sigma_px == SLOW_PX
+    feed(stream, 3.0 + 0.25 * np.arange(4))
+    wait_for_batches(stream, 4)
+    assert stream.results[-1].detection.threshold == 20.0
+    counters = stream.queue.counters
+    assert (counters.used, counters.dropped, counters.failures) == (16, 0, 0)
+
+
+def test_what_is_asked_for_meanwhile_takes_the_place_of_a_long_preparation(stream):
+    feed(stream, 0.25 * np.arange(4))
+    ask(stream, psf_sigma_px=SLOW_PX)
+    wait_for(lambda: stream.status.beside)
+    ask(stream, threshold=30.0)
+    wait_for(lambda: stream.status.threshold == 30.0)
+    assert stream.status.options.psf_sigma_px == 1.0
+
+
+def test_a_change_that_cannot_be_prepared_is_said_and_the_search_goes_on_as_before(stream):
+    feed(stream, 0.25 * np.arange(4))
+    ask(stream, psf_sigma_px=BROKEN_PX)
+    wait_for(lambda: stream.queue.counters.failures)
+    assert 'the search goes on as before: ParameterError: this width' in stream.warnings[-1]
+    feed(stream, 1.0 + 0.25 * np.arange(4))
+    wait_for_batches(stream, 2)
+    assert stream.status.state == 'ready' and stream.status.options.psf_sigma_px == 1.0
+
+
+def test_of_options_that_change_all_the_time_some_take_effect_and_every_frame_is_used(stream):
+    feed(stream, 0.25 * np.arange(4))
+    thresholds = set()
+    for k in range(100):
+        ask(stream, threshold=20.0 + k)
+        stream.queue.put(np.zeros((3, 5), np.float32), 1.0 + 0.25 * k, None)
+        thresholds.add(stream.status.threshold)
+        time.sleep(0.01)
+    wait_for(lambda: stream.status.threshold == 119.0)
+    assert len(thresholds) > 3
+    wait_for(lambda: stream.queue.counters.used == 104)
+    assert stream.queue.counters.batches == 26

@@ -3,14 +3,12 @@
 Topics (relative): in ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Float32MultiArray); out
 ``trajectories/markers``, ``trajectories/path``, ``trajectories/points``, ``overlay``,
 ``/diagnostics`` and, where their packages are installed, those of :class:`FieldOutputs`. Service
-``~/flush`` (std_srvs/Trigger) has the frames that were in no batch yet searched at once.
+``~/flush`` (std_srvs/Trigger) has the frames that were in no batch yet searched at once. The node
+is managed: it searches while it is active, see docs/nodes/detector.md.
 """
 
 from collections.abc import Callable, Mapping, Set
 from copy import copy
-import os
-import signal
-import sys
 import threading
 import time
 from typing import Any
@@ -18,15 +16,16 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
-import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import (
+    PublisherEventCallbacks,
     QoSMessageLostInfo,
+    QoSOfferedIncompatibleQoSInfo,
     QoSRequestedIncompatibleQoSInfo,
     SubscriptionEventCallbacks,
 )
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import (
     qos_policy_name_from_kind,
@@ -34,7 +33,8 @@ from rclpy.qos import (
     QoSProfile,
     QoSReliabilityPolicy,
 )
-from rclpy.qos_overriding_options import QoSOverridingOptions
+from rclpy.qos_overriding_options import _declare_qos_parameters, QoSOverridingOptions
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Float32MultiArray, Header
 from std_srvs.srv import Trigger
@@ -50,15 +50,18 @@ from track_before_detect.ros.diagnostics import (
     Warnings,
 )
 from track_before_detect.ros.frame_queue import StreamRequest
+from track_before_detect.ros.logs.throttled import ThrottledLog
+from track_before_detect.ros.managed_node import (
+    ACTIVE,
+    AUTOSTART,
+    FINALIZED,
+    INACTIVE,
+    ManagedNode,
+    UNCONFIGURED,
+)
 from track_before_detect.ros.outputs.field_outputs import FieldOutputs, SCALE_PARAMETERS
 from track_before_detect.ros.outputs.seen_targets import RadarScale
-from track_before_detect.ros.parameters import (
-    NodeParameter,
-    option_parameters,
-    option_values,
-    ParameterizedNode,
-)
-from track_before_detect.ros.running import run
+from track_before_detect.ros.parameters import NodeParameter, option_parameters, option_values
 from track_before_detect.ros.worker import StreamResult, StreamWorker
 from track_before_detect.tracking.batcher import DEFAULT_LENGTH
 from track_before_detect.tracking.pipeline import TrackingPipeline
@@ -73,10 +76,12 @@ TRACKED_PERIOD_S = 5.0
 # Without a time of /clock until then somebody waits in vain.
 CLOCK_TIMEOUT_S = 5.0
 LIFETIME_BATCHES = 3.0
-STOP_TIMEOUT_S = 3.0
+# Of the two seconds that a process may take to end.
+STOP_TIMEOUT_S = 1.0
 
 RCLError, InvalidHandle = rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle
 
+INPUTS = {'image': Image, 'frame': Float32MultiArray}
 PARAMETERS = [
     NodeParameter(
         'preset', AUTO, 'Where the options come from that are not given: auto looks at the first '
@@ -111,36 +116,99 @@ PARAMETERS = [
         'reliable', False, 'Whether to ask for lost frames to be sent again; a best-effort '
         'publisher is then not heard.', 'boolean'),
     *SCALE_PARAMETERS,
+    AUTOSTART,
 ]
 
 
-class DetectorNode(ParameterizedNode):
-    """Wires subscriptions to the worker, and its results to publishers."""
+class DetectorNode(ManagedNode):
+    """Wires subscriptions to the worker, and its results to publishers.
 
-    def __init__(self) -> None:
-        super().__init__('detector', PARAMETERS)
+    It may share an executor, and a process, with other nodes. Configured it has compiled its
+    loops, and calibrated its threshold as far as options allow before a first frame.
+
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    **settings
+        Of :class:`rclpy.node.Node`: context, namespace, parameter_overrides and so on.
+    """
+
+    def __init__(self, name: str = 'detector', **settings: Any) -> None:
+        super().__init__(name, PARAMETERS, **settings)
         self._lock = threading.Lock()
         self._shown: set[int] = set()
         self._last_header = Header()
         self._warnings = Warnings()
         self._reception = Reception()
-        self._logged_state = ('', 0.0)
+        self._log_state, self._log_change, self._log_choice = (
+            ThrottledLog(lambda line: self.get_logger().info(line)) for _ in range(3))
+        self._logged_state = ('', ''), 0.0
         self._began_s = time.monotonic()
+        self._active = self._ending = False
+        self._inputs: list[Subscription] = []
+        self._worker = self._make_worker()
         self._create_outputs()
-        self._create_inputs()
+        self._declare_inputs()
         self.finish_parameters()
-        values = self.values()
-        shape = (values['frame_height'], values['frame_width'])
-        rate = values['frame_rate_hz']
-        known = min(shape) > 0 and rate > 0.0
-        self._field_outputs = FieldOutputs(self, values, OUTPUT_DEPTH)
-        self._worker = StreamWorker(
-            self._request,
-            expected_shape=shape if known else None,
-            expected_interval_s=1.0 / rate if known else None,
-            on_result=self._publish, on_reset=self._clear_markers, on_state=self._state_changed,
-            on_choice=self._log_choice, on_warning=self._warn)
+        self._field_outputs = FieldOutputs(self._create_output, self.values())
+        if self.values()['autostart']:
+            self.start_up()
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Prepare the search; return once that is done."""
+        self._worker = self._make_worker()
+        self._field_outputs.reset()
+        if self._ending:
+            return TransitionCallbackReturn.FAILURE
         self._worker.start()
+        if not self._worker.wait_until_prepared():
+            if not self._ending:
+                self._worker.stop(STOP_TIMEOUT_S)
+            return TransitionCallbackReturn.FAILURE
+        return super().on_configure(state)
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Search from now on, and subscribe to frames unless that was done before."""
+        result = super().on_activate(state)
+        self._active = True
+        if not self._inputs:
+            # Last, so that a publisher that waits for somebody to listen loses nothing.
+            self._create_inputs()
+        self.get_logger().info(f'{ACTIVE}: frames are searched')
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Drop frames from now on, those that wait included; remove what was shown."""
+        self._active = False
+        self._worker.queue.discard()
+        self._clear_markers()
+        self.get_logger().info(f'{INACTIVE}: frames are counted and dropped')
+        return super().on_deactivate(state)
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the search and its counters."""
+        self._release()
+        self._worker = self._make_worker()
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """End the search for good."""
+        self._active = False
+        self._release()
+        return super().on_shutdown(state)
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Go back to the beginning."""
+        self.get_logger().error(f'a transition from {state.label} failed')
+        return self.on_shutdown(state)
+
+    def destroy_node(self) -> None:
+        """Stop the search, waiting for it a moment, then destroy the node."""
+        self._active, self._ending = False, True
+        self._worker.stop(STOP_TIMEOUT_S)
+        self.wait_for_start(STOP_TIMEOUT_S)
+        super().destroy_node()
 
     def check_values(self, values: Mapping[str, Any], told: Set[str]) -> None:
         """Raise ParameterError when options do not go together, or not with the detector."""
@@ -155,38 +223,72 @@ class DetectorNode(ParameterizedNode):
         self._request = request
 
     def on_change(self, names: list[str]) -> None:
-        """Hand changed parameters to the worker, which uses them from the next batch on."""
-        self.get_logger().info(f'changed: {", ".join(names)}; in effect from the next batch on')
-        self._worker.queue.configure(self._request)
+        """Hand changed parameters to the worker, which uses them when they are prepared."""
+        self._log_change(f'changed: {", ".join(names)}; in effect as soon as it is prepared')
+        if self.lifecycle_state != UNCONFIGURED:
+            self._worker.queue.configure(self._request)
+        elif self._worker.status.state == 'failed' and self.values()['autostart']:
+            self.start_up()
 
-    def stop(self) -> bool:
-        """Stop the worker; return whether it stopped in time."""
-        return self._worker.stop(STOP_TIMEOUT_S)
+    def _make_worker(self) -> StreamWorker:
+        """Return a worker that was not started yet, for what the parameters ask."""
+        values = self.values()
+        shape = (values['frame_height'], values['frame_width'])
+        rate = values['frame_rate_hz']
+        known = min(shape) > 0 and rate > 0.0
+        return StreamWorker(
+            self._request,
+            expected_shape=shape if known else None,
+            expected_interval_s=1.0 / rate if known else None,
+            on_result=self._publish, on_reset=self._clear_markers, on_state=self._state_changed,
+            on_choice=self._choice_made, on_warning=self._warn)
 
-    def _create_inputs(self) -> None:
+    def _release(self) -> None:
+        """Stop the worker and unsubscribe from frames."""
+        self._worker.stop(STOP_TIMEOUT_S)
+        while self._inputs:
+            self.destroy_subscription(self._inputs.pop())
+
+    def _input_qos(self) -> QoSProfile:
         reliability = (QoSReliabilityPolicy.RELIABLE if self.values()['reliable']
                        else QoSReliabilityPolicy.BEST_EFFORT)
-        qos = QoSProfile(depth=INPUT_DEPTH, reliability=reliability,
-                         durability=QoSDurabilityPolicy.VOLATILE)
-        inputs = (('image', Image, self._take_image),
-                  ('frame', Float32MultiArray, self._take_multiarray))
-        for topic, kind, callback in inputs:
+        return QoSProfile(depth=INPUT_DEPTH, reliability=reliability,
+                          durability=QoSDurabilityPolicy.VOLATILE)
+
+    def _declare_inputs(self) -> None:
+        """Check the overrides of quality of service at once, with the other parameters.
+
+        Subscribing for a moment would tell publishers that somebody listens.
+        """
+        for topic in INPUTS:
             with self.overridable_qos():
-                self.create_subscription(
-                    kind, topic, callback, qos, event_callbacks=self._event_callbacks(topic),
-                    qos_overriding_options=QoSOverridingOptions.with_default_policies())
+                _declare_qos_parameters(
+                    Subscription, self, self.resolve_topic_name(topic), self._input_qos(),
+                    QoSOverridingOptions.with_default_policies())
+
+    def _create_inputs(self) -> None:
+        callbacks = {'image': self._take_image, 'frame': self._take_multiarray}
+        for topic, kind in INPUTS.items():
+            self._inputs.append(self.create_subscription(
+                kind, topic, callbacks[topic], self._input_qos(),
+                event_callbacks=self._event_callbacks(topic),
+                qos_overriding_options=QoSOverridingOptions.with_default_policies()))
+
+    def _create_output(self, kind: type, topic: str) -> Publisher:
+        return self.create_lifecycle_publisher(
+            kind, topic, OUTPUT_DEPTH, event_callbacks=self._output_events(topic))
 
     def _create_outputs(self) -> None:
-        def publisher(kind: type, topic: str) -> Publisher:
-            return self.create_publisher(kind, topic, OUTPUT_DEPTH)
-        self._markers = publisher(MarkerArray, 'trajectories/markers')
-        self._paths = publisher(Path, 'trajectories/path')
-        self._points = publisher(PointCloud2, 'trajectories/points')
-        self._overlay = publisher(Image, 'overlay')
-        self._diagnostics = publisher(DiagnosticArray, '/diagnostics')
+        self._markers = self._create_output(MarkerArray, 'trajectories/markers')
+        self._paths = self._create_output(Path, 'trajectories/path')
+        self._points = self._create_output(PointCloud2, 'trajectories/points')
+        self._overlay = self._create_output(Image, 'overlay')
+        self._diagnostics = self.create_publisher(
+            DiagnosticArray, '/diagnostics', OUTPUT_DEPTH,
+            event_callbacks=self._output_events('/diagnostics'))
         self.create_service(Trigger, '~/flush', self._flush)
         # Diagnostics must go on when a simulated clock stands still.
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._look_around,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _event_callbacks(self, topic: str) -> SubscriptionEventCallbacks:
@@ -202,7 +304,21 @@ class DetectorNode(ParameterizedNode):
             self._reception.n_lost += event.total_count_change
             self._warn(f'lost {topic}', f'{event.total_count} messages on {topic!r} were lost')
 
-        return SubscriptionEventCallbacks(incompatible_qos=incompatible, message_lost=lost)
+        return SubscriptionEventCallbacks(
+            incompatible_qos=incompatible, message_lost=lost, use_default_callbacks=False)
+
+    def _output_events(self, topic: str) -> PublisherEventCallbacks:
+        """Return what is done about events of an output.
+
+        Each kind of event costs every wait of the executor; the other defaults are left out.
+        """
+        def incompatible(event: QoSOfferedIncompatibleQoSInfo) -> None:
+            policy = qos_policy_name_from_kind(event.last_policy_kind)
+            self._warn(f'qos {topic}', (
+                f'a subscriber of {topic!r} asks for a quality of service ({policy}) that is not '
+                'offered, so it receives nothing'))
+
+        return PublisherEventCallbacks(incompatible_qos=incompatible, use_default_callbacks=False)
 
     def _take_image(self, message: Image) -> None:
         self._take(lambda: conversions.frame_from_image(message), message.header)
@@ -212,6 +328,9 @@ class DetectorNode(ParameterizedNode):
         self._take(lambda: conversions.frame_from_multiarray(message), header)
 
     def _take(self, convert: Callable[[], NDArray], header: Header) -> None:
+        if not self._active:
+            self._worker.queue.drop_message()
+            return
         try:
             pixels = convert()
         except TbdError as error:
@@ -227,9 +346,12 @@ class DetectorNode(ParameterizedNode):
                 f'{queue.counters.received} frames were dropped so far'))
 
     def _flush(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        self._worker.queue.flush()
-        response.success = True
-        response.message = 'the frames that were in no batch yet are being searched'
+        response.success = self._active
+        if self._active:
+            self._worker.queue.flush()
+            response.message = 'the frames that were in no batch yet are being searched'
+        else:
+            response.message = f'nothing is searched, the node is {self.lifecycle_state}'
         return response
 
     def _publish(self, result: StreamResult) -> None:
@@ -267,8 +389,8 @@ class DetectorNode(ParameterizedNode):
         try:
             publisher.publish(message)
         except (RCLError, InvalidHandle):
-            # An interrupt may take the middleware away while the search goes on.
-            if self.context.ok():
+            # The node may be destroyed while the search goes on.
+            if self.context.ok() and not self._ending:
                 raise
 
     def _clear_markers(self) -> None:
@@ -281,22 +403,25 @@ class DetectorNode(ParameterizedNode):
 
     def _state_changed(self) -> None:
         status = self._worker.status
+        # What it is ready for is news; how far a preparation is, every few seconds.
+        state = status.state, status.detail * (status.state == 'ready')
         last_state, last_s = self._logged_state
         now_s = time.monotonic()
-        if status.state == last_state and now_s - last_s < PROGRESS_PERIOD_S:
+        if state == last_state and now_s - last_s < PROGRESS_PERIOD_S:
             return
-        self._logged_state = (status.state, now_s)
+        self._logged_state = state, now_s
+        line = '; '.join(filter(None, [f'{status.state}: {status.detail}', status.beside]))
         if status.state == 'failed':
-            self.get_logger().error(f'{status.state}: {status.detail}')
+            self.get_logger().error(line)
         else:
-            self.get_logger().info(f'{status.state}: {status.detail}')
+            self._log_state(line)
         self._publish_diagnostics()
 
-    def _log_choice(self) -> None:
+    def _choice_made(self) -> None:
         status = self._worker.status
         for reason in status.reasons:
-            self.get_logger().info(f'preset {status.preset}: {reason}')
-        self.get_logger().info(f'options: {option_words(status.options)}')
+            self._log_choice(f'preset {status.preset}: {reason}')
+        self._log_choice(f'options: {option_words(status.options)}')
 
     def _warn(self, kind: str, text: str) -> None:
         """Show a warning in the diagnostics, and log it unless its kind was logged just now."""
@@ -305,35 +430,21 @@ class DetectorNode(ParameterizedNode):
         if is_new:
             self.get_logger().warning(text)
 
-    def _publish_diagnostics(self) -> None:
+    def _look_around(self) -> None:
+        """Warn of what is wrong around the node, log what was held back, say how it is."""
         if (self.get_parameter('use_sim_time').value and not self.get_clock().now().nanoseconds
                 and time.monotonic() - self._began_s > CLOCK_TIMEOUT_S):
             self._warn('clock', 'use_sim_time is set, but no time came on /clock: is the bag '
                        'played with --clock, or the simulation running?')
-        queue = self._worker.queue
+        for log in (self._log_state, self._log_change, self._log_choice):
+            log.catch_up()
+        self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
+        queue, status = self._worker.queue, copy(self._worker.status)
+        lifecycle = self.lifecycle_state
+        if lifecycle in (UNCONFIGURED, INACTIVE, FINALIZED) and status.state != 'failed':
+            status.state, status.detail = lifecycle, ''
         self._send(self._diagnostics, diagnostics_message(
             self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(),
-            copy(self._worker.status), copy(queue.counters), len(queue), self._reception,
-            self._warnings))
-
-
-def spin_and_stop(node: DetectorNode, spin: Callable[[Node], None] = rclpy.spin) -> None:
-    """Spin a node until it is interrupted, and wait for its search to stop."""
-    try:
-        spin(node)
-    finally:
-        # The second interrupt under ros2 launch must not cut the wait for the search short.
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-        if not node.stop():
-            # A compilation cannot be interrupted, and leaving Python under it would crash.
-            sys.stderr.flush()
-            os._exit(0)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run('detector', DetectorNode, spin_and_stop, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
+            status, copy(queue.counters), len(queue), self._reception, self._warnings))

@@ -91,6 +91,7 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
     values: dict[str, Any] = {
         'state': status.state,
         'detail': status.detail,
+        'preparing_beside': status.beside,
         'preset': status.preset,
         'options': option_words(status.options),
         'reasons': '; '.join(status.reasons),

@@ -4,13 +4,11 @@ Topics (relative): out ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Floa
 ``truth/path`` (nav_msgs/Path, one message per true target) where the truth is known.
 """
 
-import sys
 import time
 
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
-import rclpy
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, QoSOfferedIncompatibleQoSInfo
 from rclpy.executors import SingleThreadedExecutor
@@ -28,8 +26,8 @@ from track_before_detect.errors import DataError
 from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.ros import conversions
+from track_before_detect.ros.executables.ending import Ending
 from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
-from track_before_detect.ros.running import run
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.timestamps import increasing_frames
 
@@ -260,20 +258,10 @@ class FramePublisherNode(ParameterizedNode):
         self._n_published += 1
 
 
-def _spin(node: FramePublisherNode) -> None:
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    while rclpy.ok() and not node.exits:
+def play(node: FramePublisherNode, executor: SingleThreadedExecutor, ending: Ending) -> None:
+    """Publish until everything was published or a signal has come."""
+    while not (ending.requested or node.exits):
         executor.spin_once(timeout_sec=min(node.step(), IDLE_S))
     end_s = time.monotonic() + LINGER_S
-    while rclpy.ok() and time.monotonic() < end_s:
+    while not ending.requested and time.monotonic() < end_s:
         executor.spin_once(timeout_sec=LINGER_S)
-
-
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    return run('frame_publisher', FramePublisherNode, _spin, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())

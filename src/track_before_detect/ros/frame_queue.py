@@ -140,9 +140,13 @@ class Counters:
 
 @dataclass(frozen=True)
 class Work:
-    """The next thing to do: search otherwise, take a frame, or flush; nothing after a pause."""
+    """The next thing to do: search otherwise, take a frame, or flush; nothing after a pause.
+
+    ``prepared`` is what was handed over, a search that is ready.
+    """
 
     request: StreamRequest | None = None
+    prepared: Any = None
     frame: StreamFrame | None = None
     flush: bool = False
 
@@ -172,6 +176,7 @@ class FrameQueue:
         self._changed = threading.Condition()
         self._frames: deque[StreamFrame] = deque()
         self._request: StreamRequest | None = None
+        self._prepared: Any = None
         self._flush_asked = False
 
     def __len__(self) -> int:
@@ -201,6 +206,24 @@ class FrameQueue:
             self.counters.received += 1
             self.counters.refused += 1
 
+    def drop_message(self) -> None:
+        """Count a message that comes while no frames are wanted."""
+        with self._changed:
+            self.counters.received += 1
+            self.counters.dropped += 1
+
+    def discard(self) -> None:
+        """Drop the frames that wait."""
+        with self._changed:
+            self.counters.dropped += len(self._frames)
+            self._frames.clear()
+
+    def hand_over(self, prepared: Any) -> None:
+        """Let the search thread have what was prepared beside it; the newest counts."""
+        with self._changed:
+            self._prepared = prepared
+            self._changed.notify()
+
     def configure(self, request: StreamRequest) -> None:
         """Ask for something else from the next batch on."""
         with self._changed:
@@ -225,6 +248,9 @@ class FrameQueue:
             self._changed.wait_for(self._has_work, timeout_s)
             if self.closed:
                 return None
+            if self._prepared is not None:
+                prepared, self._prepared = self._prepared, None
+                return Work(prepared=prepared)
             if self._request is not None:
                 request, self._request = self._request, None
                 return Work(request=request)
@@ -234,4 +260,5 @@ class FrameQueue:
             return Work(flush=flush)
 
     def _has_work(self) -> bool:
-        return bool(self.closed or self._frames or self._request or self._flush_asked)
+        return bool(self.closed or self._frames or self._request or self._prepared
+                    or self._flush_asked)

@@ -167,6 +167,8 @@ class ParameterizedNode(Node):
         Name of the node.
     parameters : list of NodeParameter
         What is declared.
+    **settings
+        Of :class:`rclpy.node.Node`: context, namespace, parameter_overrides and so on.
 
     Raises
     ------
@@ -174,8 +176,9 @@ class ParameterizedNode(Node):
         When a value given at start cannot be used.
     """
 
-    def __init__(self, name: str, parameters: list[NodeParameter]):
-        super().__init__(name)
+    def __init__(self, name: str, parameters: list[NodeParameter], **settings: Any):
+        # Not super(): beside it a managed node has another base class, started on its own.
+        Node.__init__(self, name, **settings)
         self._table = {parameter.name: parameter for parameter in parameters}
         # Names of the parameters that were given a value, be it the default.
         self._told = self._table.keys() & self._parameter_overrides.keys()

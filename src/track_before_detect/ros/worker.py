@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import TbdError
 from track_before_detect.options import DetectorOptions
+from track_before_detect.ros.beside import Beside, MakePipeline, Prepared, Wanted
 from track_before_detect.ros.frame_queue import FrameQueue, StreamFrame, StreamRequest
 from track_before_detect.tracking.batcher import Intake, Outcome
 from track_before_detect.tracking.pipeline import TrackingPipeline
@@ -56,10 +57,14 @@ class StreamResult:
 
 @dataclass
 class Status:
-    """Where the worker is and what it searches with, for diagnostics."""
+    """Where the worker is and what it searches with, for diagnostics.
+
+    ``beside`` says how far the preparation of other options is while the search goes on.
+    """
 
     state: str = 'waiting for frames'
     detail: str = ''
+    beside: str = ''
     threshold: float = float('nan')
     processing_s: float = 0.0
     longest_processing_s: float = 0.0
@@ -116,9 +121,7 @@ class StreamWorker:
                  on_state: Callable[[], None],
                  on_choice: Callable[[], None],
                  on_warning: Callable[[str, str], None],
-                 make_pipeline: Callable[
-                     [DetectorOptions, TrackingPipeline | None], TrackingPipeline]
-                 = TrackingPipeline) -> None:
+                 make_pipeline: MakePipeline = TrackingPipeline) -> None:
         self.queue = FrameQueue(request.settings(request.unseen.options).queue_length)
         self.status = Status()
         self._counters = self.queue.counters
@@ -143,23 +146,39 @@ class StreamWorker:
         self._last_arrival_s = 0.0
         self._window = request.window(None if request.looks else self._options)
         self._adopt(request.unseen)
+        self._beside = Beside(make_pipeline, self._progress_beside, self.queue.hand_over)
+        self._beside_counts = False
+        self._first_prepared = threading.Event()
         self._thread = threading.Thread(target=self._run, name='search', daemon=True)
 
     def start(self) -> None:
-        """Start the thread."""
+        """Start the thread, which compiles, and calibrates as far as it knows for what."""
         self._thread.start()
 
+    def wait_until_prepared(self) -> bool:
+        """Wait for the preparation at the start; return whether it worked."""
+        self._first_prepared.wait()
+        return not self.queue.closed and self.status.state != 'failed'
+
     def stop(self, timeout_s: float) -> bool:
-        """Ask the thread to end; return whether it did in time."""
+        """Ask the threads to end; return whether they did in time."""
+        end_s = time.monotonic() + timeout_s
         self.queue.close()
-        self._thread.join(timeout_s)
-        return not self._thread.is_alive()
+        self._beside.close()
+        self._first_prepared.set()
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+        return (self._beside.join(max(0.0, end_s - time.monotonic()))
+                and not self._thread.is_alive())
 
     def _run(self) -> None:
         try:
             self._prepare_or_wait(*self._expected)
+            self._first_prepared.set()
             while (work := self.queue.take(self._idle_time_left())) is not None:
-                if work.request is not None:
+                if work.prepared is not None:
+                    self._switch(work.prepared)
+                elif work.request is not None:
                     self._reconfigure(work.request)
                 elif work.frame is not None:
                     self._take(work.frame)
@@ -172,6 +191,8 @@ class StreamWorker:
             logger.exception('the search thread has ended')
             self._set_state('failed', 'the search thread has ended; see the log')
             raise
+        finally:
+            self._first_prepared.set()
 
     def _idle_time_left(self) -> float | None:
         """Return the seconds until held frames are searched without waiting for more."""
@@ -270,12 +291,12 @@ class StreamWorker:
             self._set_state('failed', f'choosing options failed: {error}')
             return None
 
-    def _adopt(self, choice: Choice) -> bool:
+    def _adopt(self, choice: Choice, pipeline: TrackingPipeline | None = None) -> bool:
         """Search with other options from now on; return whether they are others."""
         others = choice.options != self._options
         news = others or choice.reasons != self.status.reasons
         if others:
-            self._pipeline = self._make_pipeline(choice.options, self._pipeline)
+            self._pipeline = pipeline or self._make_pipeline(choice.options, self._pipeline)
             self._prepared_for = self._failed_for = None
         self._options = self.status.options = choice.options
         self._settings = self._request.settings(choice.options)
@@ -329,10 +350,10 @@ class StreamWorker:
         self.status.latency_s = finished - newest.arrival_s
 
     def _prepare_or_wait(self, shape: tuple[int, int] | None, interval_s: float | None) -> None:
-        """Prepare the search for frames of a size, if it is known."""
+        """Prepare the search for frames of a size; compile it if that is not known yet."""
         if shape is not None:
             self._prepare(shape, interval_s)
-        else:
+        elif self._warm_up(None, 1.0):
             self._set_state('waiting for frames', 'size and rate are learnt from the first ones')
 
     def _prepare(self, shape: tuple[int, int], interval_s: float | None) -> bool:
@@ -341,26 +362,32 @@ class StreamWorker:
             return False
         self.status.shape = shape
         self._set_state('preparing', f'for {shape[0]} x {shape[1]} frames')
-        started = time.monotonic()
         # A threshold that the first frames may change is not worth a calibration.
         compiles_only = self._looking and self._options.threshold is None
+        if not self._warm_up(None if compiles_only else shape, interval_s or 1.0):
+            self._failed_for = shape
+            return False
+        self._prepared_for = None if compiles_only else shape
+        self._set_ready()
+        return True
+
+    def _warm_up(self, shape: tuple[int, int] | None, interval_s: float) -> bool:
+        """Compile, and calibrate for frames of a size if any; return whether that worked."""
+        started = time.monotonic()
+        self.status.threshold = float('nan')
         try:
-            if compiles_only:
+            if shape is None:
                 self._pipeline.compile(self._progress)
-                self.status.threshold = float('nan')
             else:
                 self.status.threshold = self._pipeline.warm_up(
-                    shape, interval_s or 1.0, self._settings.batch_length, self._progress)
+                    shape, interval_s, self._settings.batch_length, self._progress)
         except _StopRequestedError:
             raise
         except Exception as error:
-            self._failed_for = shape
             self._failed('preparing the search failed', error)
             self._set_state('failed', f'preparing the search failed: {error}')
             return False
-        self._prepared_for = None if compiles_only else shape
         self._prepared_s = time.monotonic() - started
-        self._set_ready()
         return True
 
     def _set_ready(self) -> None:
@@ -382,23 +409,61 @@ class StreamWorker:
             return
         self._set_state(label, f'{100.0 * done:.0f} %')
 
+    def _progress_beside(self, label: str, done: float) -> None:
+        self.status.beside = f'{label} other options: {100.0 * done:.0f} %'
+        self._on_state()
+
     def _reconfigure(self, request: StreamRequest) -> None:
-        """Search what is asked for from the next batch on."""
+        """Prepare what is asked for, beside a search that goes on if there is one."""
         looking = request.looks and (self._looking or not len(self._seen))
+        shape = self._prepared_for
+        self._beside_counts = shape is not None and not looking
+        if shape is not None and self._beside_counts:
+            self._beside.ask(Wanted(
+                request, self._seen, shape,
+                self._window.median_interval_s or self._expected[1] or 1.0, self._pipeline))
+            return
+        self._beside.drop()
+        self.status.beside = ''
         choice = request.unseen if looking else self._chosen(request, self._seen)
         if choice is None:
             return
         shape, interval_s = self._window.shape, self._window.median_interval_s
         if shape is None or interval_s is None:
             shape, interval_s = self._expected
-        window = request.window(None if looking else choice.options)
+        self._looking = looking
+        if self._use(request, choice):
+            self._prepare_or_wait(shape, interval_s)
+
+    def _switch(self, prepared: Prepared) -> None:
+        """Go over to a search that was prepared beside the present one, from this frame on."""
+        self.status.beside = ''
+        if not self._beside_counts:
+            return
+        if prepared.error is not None:
+            self._failed('preparing what was changed failed, and the search goes on as before',
+                         prepared.error)
+            return
+        wanted, choice = prepared.wanted, prepared.choice
+        if self._looking or choice is None:
+            # Another stream has begun meanwhile, which is looked at first.
+            self._reconfigure(wanted.request)
+            return
+        if self._use(wanted.request, choice, prepared.pipeline):
+            self._prepared_for, self._prepared_s = wanted.shape, prepared.seconds
+            self.status.shape, self.status.threshold = wanted.shape, prepared.threshold
+        self._set_ready()
+
+    def _use(self, request: StreamRequest, choice: Choice,
+             pipeline: TrackingPipeline | None = None) -> bool:
+        """Search what is asked for with options; return whether they are others than before."""
+        window = request.window(None if self._looking else choice.options)
         if (window.length, window.hop, window.max_gap_s) != (
                 self._window.length, self._window.hop, self._window.max_gap_s):
             self._flush()
             self._window = window
-        self._request, self._looking = request, looking
-        if self._adopt(choice):
-            self._prepare_or_wait(shape, interval_s)
+        self._request = request
+        return self._adopt(choice, pipeline)
 
     def _failed(self, what: str, error: Exception) -> None:
         self._counters.failures += 1

@@ -7,7 +7,6 @@ from types import ModuleType
 from typing import Any
 from uuid import uuid4
 
-from rclpy.node import Node
 from rclpy.publisher import Publisher
 from std_msgs.msg import Header
 
@@ -56,17 +55,15 @@ class FieldOutputs:
 
     Parameters
     ----------
-    node : Node
-        Creates the publishers.
+    create : callable
+        Returns a publisher of a kind of message on a topic.
     values : mapping
-        Its parameters, see :data:`SCALE_PARAMETERS`.
-    depth : int
-        Of the publishers' queues.
+        Parameters of the node, see :data:`SCALE_PARAMETERS`.
     """
 
-    def __init__(self, node: Node, values: Mapping[str, Any], depth: int):
+    def __init__(self, create: Callable[[type, str], Publisher], values: Mapping[str, Any]):
         scale, stream = RadarScale.of(values), uuid4()
-        self._newest = -1
+        self.reset()
         self._outputs: list[tuple[Publisher, ModuleType, Made]] = []
 
         def output(topic: str, package: str, kind: str, made: Made) -> None:
@@ -75,7 +72,7 @@ class FieldOutputs:
             except ImportError:
                 _LOG.debug('%s is not installed: no topic %s', package, topic)
                 return
-            publisher = node.create_publisher(getattr(messages, kind), topic, depth)
+            publisher = create(getattr(messages, kind), topic)
             self._outputs.append((publisher, messages, made))
 
         output('trajectories/detections', 'vision_msgs', 'Detection2DArray',
@@ -90,6 +87,10 @@ class FieldOutputs:
                        messages, targets, header, scale,
                        n_columns // 2 + options.doppler_offset_bins,
                        n_columns if options.doppler_ambiguities else 0, stream))
+
+    def reset(self) -> None:
+        """Forget which frames were seen: their numbers begin again."""
+        self._newest = -1
 
     def messages(self, result: StreamResult, options: DetectorOptions,
                  ) -> Iterator[tuple[Publisher, object]]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 import os
 from pathlib import Path
 import signal
@@ -45,13 +44,17 @@ class ChildProcess:
             self.stop()
 
     def start(self) -> None:
-        """Start the process, within the ``with`` block, from the main thread."""
-        # An interrupt between the fork and the end of Popen would leave a process behind that
-        # nobody knows.
-        with open(self.log, 'wb') as output, _interrupts_held_back():
+        """Start the process, within the ``with`` block."""
+        with open(self.log, 'wb') as output:
             self._process = subprocess.Popen(
                 self._command, stdin=subprocess.DEVNULL, stdout=output, stderr=output,
                 env={**os.environ, **self._environment})
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        assert self._process is not None
+        return self._process.pid
 
     @property
     def exit_code(self) -> int | None:
@@ -59,11 +62,16 @@ class ChildProcess:
         assert self._process is not None
         return self._process.poll()
 
-    def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> bool:
-        """Interrupt the process, kill it when it takes too long; return whether it ended well."""
+    def interrupt(self) -> None:
+        """Interrupt the process if it still runs."""
         assert self._process is not None
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGINT)
+
+    def stop(self, timeout_s: float = STOP_TIMEOUT_S) -> bool:
+        """Interrupt the process, kill it when it takes too long; return whether it ended well."""
+        assert self._process is not None
+        self.interrupt()
         try:
             return self._process.wait(timeout_s) in INTERRUPTED_CODES
         except subprocess.TimeoutExpired:
@@ -77,20 +85,3 @@ class ChildProcess:
         """Return the last lines it wrote that are not empty."""
         text = self.log.read_text(encoding='utf-8', errors='replace')
         return [line for line in text.splitlines() if line.strip()][-count:]
-
-
-@contextmanager
-def _interrupts_held_back() -> Iterator[None]:
-    """Let an interrupt or a termination take effect at the end of the block only."""
-    held: list[int] = []
-    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    # Not by blocking the signals or ignoring them, which a child would inherit.
-    for number in handlers:
-        signal.signal(number, lambda received, _: held.append(received))
-    try:
-        yield
-    finally:
-        for number, handler in handlers.items():
-            signal.signal(number, handler)
-        for received in held:
-            signal.raise_signal(received)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import json
 import os
 from pathlib import Path
-import signal
 import sys
 import time
 from typing import Any, NoReturn, TextIO
@@ -43,10 +42,11 @@ from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.recordings.overlay import write_overlay
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.recordings.result_files import write_trajectories_csv
-from track_before_detect.ros.child_process import ChildProcess
 from track_before_detect.ros.conversions import points_to_array, seconds_from_time
-from track_before_detect.ros.demo_report import report
+from track_before_detect.ros.demo.child_process import ChildProcess
+from track_before_detect.ros.demo.report import report
 from track_before_detect.ros.domain import free_domain_id
+from track_before_detect.ros.executables.ending import Ending
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.tracking.batcher import DEFAULT_LENGTH
 from track_before_detect.tracking.joined import JoinedTrajectories
@@ -133,6 +133,31 @@ class Listener(Node):
                 self._heard.last_diagnostics_s = time.monotonic()
 
 
+@dataclass
+class Listening:
+    """What it takes to listen to the detector for as long as it is well."""
+
+    executor: SingleThreadedExecutor
+    heard: Heard
+    detector: ChildProcess
+    ending: Ending
+
+    def go_on(self) -> None:
+        """Receive for a moment and make sure that the detector is well."""
+        self.executor.spin_once(timeout_sec=0.1)
+        if self.ending.requested:
+            raise DemoError('interrupted', INTERRUPTED)
+        code = self.detector.exit_code
+        if code is not None:
+            raise DemoError(_ended(self.detector), BAD_INPUT if code == BAD_INPUT else FAILED)
+        log, heard = self.detector.log, self.heard
+        if heard.diagnostics.get('state') == 'failed':
+            raise DemoError(f'the detector failed: {heard.diagnostics["detail"]}', BAD_INPUT)
+        if time.monotonic() - heard.last_diagnostics_s > SILENCE_TIMEOUT_S:
+            raise DemoError(f'nothing heard from the detector for {SILENCE_TIMEOUT_S:.0f} s over '
+                            f'DDS (log: {log})')
+
+
 class StatusLine:
     """Says what is being waited for: in place on a terminal, else one line per change."""
 
@@ -160,27 +185,24 @@ class StatusLine:
             self._stream.flush()
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the demo and return its exit code."""
-    options = _parser().parse_args(arguments)
-    signal.signal(signal.SIGTERM, _interrupt)
+def main(ending: Ending, arguments: Sequence[str] | None = None) -> NoReturn:
+    """Run the demo and end the process."""
     status = StatusLine()
     try:
-        return _run(options, status)
-    except KeyboardInterrupt:
-        status.clear()
-        print('demo: interrupted', file=sys.stderr)
-        return INTERRUPTED
+        options = _parser().parse_args(arguments)
+        ending.hold()
+        code = _run(options, status, ending)
     except DemoError as error:
         status.clear()
-        return fail('demo', error, error.code)
+        if error.code == INTERRUPTED:
+            print(f'demo: {error}', file=sys.stderr)
+            code = INTERRUPTED
+        else:
+            code = fail('demo', error, error.code)
     except (TbdError, OSError) as error:
         status.clear()
-        return fail('demo', error)
-
-
-def _interrupt(*_: object) -> NoReturn:
-    raise KeyboardInterrupt
+        code = fail('demo', error)
+    ending.leave(code)
 
 
 def _parser() -> Parser:
@@ -211,7 +233,7 @@ def _parser() -> Parser:
     return parser
 
 
-def _run(arguments: Namespace, status: StatusLine) -> int:
+def _run(arguments: Namespace, status: StatusLine, ending: Ending) -> int:
     options = _given_options(arguments.set)
     if arguments.rate is not None:
         checked_number('--rate', arguments.rate, above=0.0, maximum=10000.0, unit='Hz')
@@ -226,7 +248,7 @@ def _run(arguments: Namespace, status: StatusLine) -> int:
         checked_stamps(recording.stamps, len(recording), f'stamps of {recording.name}')
         print(f'{recording.name}: {len(recording)} frames of {recording.shape[0]} x '
               f'{recording.shape[1]} px', flush=True)
-        heard = _play(arguments, options, Path(source), recording, output, status)
+        heard = _play(arguments, options, Path(source), recording, output, status, ending)
         trajectories = joined_batches(heard.batches, recording.stamps,
                                       DetectorOptions.from_mapping(options))
         truth = recording.truth
@@ -257,7 +279,7 @@ def _simulated(output: Path) -> str:
 
 
 def _play(arguments: Namespace, options: dict[str, Any], source: Path, recording: Recording,
-          output: Path, status: StatusLine) -> Heard:
+          output: Path, status: StatusLine, ending: Ending) -> Heard:
     """Run both nodes until every frame has been searched; return what they said."""
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     if 'ROS_DOMAIN_ID' not in os.environ:
@@ -272,19 +294,23 @@ def _play(arguments: Namespace, options: dict[str, Any], source: Path, recording
             **({} if arguments.topic is None else {'topic': arguments.topic})}),
         output / 'frame_publisher.log')
     heard = Heard()
-    # An interrupt is to arrive here as KeyboardInterrupt, not to shut rclpy down in the middle.
+    # A signal is not to shut rclpy down in the middle.
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     with ExitStack() as stack:
         stack.callback(rclpy.try_shutdown)
-        listener = Listener(heard)
-        stack.callback(listener.destroy_node)
+        node = Listener(heard)
+        stack.callback(node.destroy_node)
         executor = SingleThreadedExecutor()
-        executor.add_node(listener)
+        executor.add_node(node)
         stack.callback(executor.shutdown)
+        listening = Listening(executor, heard, detector, ending)
         stack.enter_context(detector).start()
-        _wait_until_ready(detector, executor, heard, status)
+        _wait_until_ready(listening, status)
         stack.enter_context(publisher).start()
-        _wait_until_searched(detector, publisher, executor, heard, recording, status)
+        # Both at once, before each is waited for.
+        stack.callback(detector.interrupt)
+        stack.callback(publisher.interrupt)
+        _wait_until_searched(listening, publisher, recording, status)
         status.show('stopping the nodes')
         for child in (publisher, detector):
             if not child.stop():
@@ -295,7 +321,7 @@ def _play(arguments: Namespace, options: dict[str, Any], source: Path, recording
 
 def _command(node: str, executables: str | None, parameters: dict[str, Any]) -> list[str]:
     """Return the command line of a node."""
-    program = ([sys.executable, '-m', f'track_before_detect.ros.{node}_node']
+    program = ([sys.executable, '-m', f'track_before_detect.ros.executables.{node}']
                if executables is None else [str(Path(executables).resolve() / node)])
     # JSON is YAML, which ROS reads, with its strings quoted.
     settings = [part for key, value in parameters.items()
@@ -325,25 +351,25 @@ def _play_rate(wanted: float | None, recording: Recording) -> float:
     return rate if usable else AUTOMATIC_HZ
 
 
-def _wait_until_ready(detector: ChildProcess, executor: SingleThreadedExecutor, heard: Heard,
-                      status: StatusLine) -> None:
+def _wait_until_ready(listening: Listening, status: StatusLine) -> None:
     """Wait until the detector has compiled its loops and calibrated its threshold."""
+    heard = listening.heard
     while heard.diagnostics.get('state') != 'ready':
-        _listen(executor, heard, detector)
+        listening.go_on()
         state = heard.diagnostics.get('state', 'starting')
         status.show(f'detector: {state}', heard.diagnostics.get('detail', ''))
 
 
-def _wait_until_searched(detector: ChildProcess, publisher: ChildProcess,
-                         executor: SingleThreadedExecutor, heard: Heard, recording: Recording,
+def _wait_until_searched(listening: Listening, publisher: ChildProcess, recording: Recording,
                          status: StatusLine) -> None:
     """Wait until the batch with the last frame has been searched."""
+    heard, log = listening.heard, listening.detector.log
     last_s = float(recording.stamps[-1])
     tolerance_s = 1e-6 * max(1.0, abs(last_s) * 1e-6)
     n_frames = len(recording)
     last_change_s, counted = time.monotonic(), None
     while heard.searched_until_s < last_s - tolerance_s:
-        _listen(executor, heard, detector)
+        listening.go_on()
         code = publisher.exit_code
         if code:
             raise DemoError(_ended(publisher), BAD_INPUT if code == BAD_INPUT else FAILED)
@@ -361,29 +387,16 @@ def _wait_until_searched(detector: ChildProcess, publisher: ChildProcess,
         if quiet_s > (DISCOVERY_TIMEOUT_S if code is None else RESULT_TIMEOUT_S):
             if heard.count('failures'):
                 raise DemoError(f'the detector failed: {heard.diagnostics["last_warning"]} (log: '
-                                f'{detector.log})', BAD_INPUT)
+                                f'{log})', BAD_INPUT)
             if not heard.count('batches'):
                 raise DemoError(f'no frame was searched for {quiet_s:.0f} s; the detector was: '
-                                f'{heard.state} (log: {detector.log})')
+                                f'{heard.state} (log: {log})')
             # The last frame was lost on the way; what was found without it still counts.
             break
     # The counters in the last diagnostics may be older than the result.
     searched_s = time.monotonic()
     while heard.last_diagnostics_s < searched_s:
-        _listen(executor, heard, detector)
-
-
-def _listen(executor: SingleThreadedExecutor, heard: Heard, detector: ChildProcess) -> None:
-    """Receive for a moment and make sure that the detector is well."""
-    executor.spin_once(timeout_sec=0.1)
-    code = detector.exit_code
-    if code is not None:
-        raise DemoError(_ended(detector), BAD_INPUT if code == BAD_INPUT else FAILED)
-    if heard.diagnostics.get('state') == 'failed':
-        raise DemoError(f'the detector failed: {heard.diagnostics["detail"]}', BAD_INPUT)
-    if time.monotonic() - heard.last_diagnostics_s > SILENCE_TIMEOUT_S:
-        raise DemoError(f'nothing heard from the detector for {SILENCE_TIMEOUT_S:.0f} s over DDS '
-                        f'(log: {detector.log})')
+        listening.go_on()
 
 
 def _ended(child: ChildProcess) -> str:
@@ -447,7 +460,3 @@ def _print_losses(heard: Heard, n_frames: int) -> None:
     lost = ', '.join(f'{count} {what}' for what, count in counts.items() if count > 0)
     if lost:
         print(f'note: of {n_frames} frames {lost}')
-
-
-if __name__ == '__main__':
-    sys.exit(main())

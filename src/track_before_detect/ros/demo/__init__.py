@@ -1,0 +1,1 @@
+"""The demo: both nodes and a listener as three processes over DDS."""

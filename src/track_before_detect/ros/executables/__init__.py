@@ -1,0 +1,1 @@
+"""Where the executables begin and end."""

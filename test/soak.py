@@ -1,0 +1,276 @@
+"""Run the detector for a long time over DDS, with faults if wanted, and say how it fared.
+
+``python test/soak.py --minutes 20 --size 128 128 --rate 30 --faults restarts malformed jumps``
+
+Not collected by pytest. Ends with 1 when a limit is not kept: frames that were delivered and not
+searched, memory that grows, results that come later than the next batch begins, or a target that
+is not followed.
+"""
+
+import argparse
+from collections import Counter
+from contextlib import ExitStack
+import math
+import os
+from pathlib import Path
+import signal
+import sys
+import tempfile
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+import numpy as np
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
+from sensor_msgs.msg import Image, PointCloud2
+from std_msgs.msg import Header
+
+from track_before_detect.ros import conversions
+from track_before_detect.ros.demo.child_process import ChildProcess
+from track_before_detect.ros.domain import free_domain_id
+
+FAULTS = ('restarts', 'malformed', 'jumps')
+BATCH, HOP = 20, 10
+MOST_GROWTH, NEAR_PX = 0.02, 2.0
+# Seconds before memory is compared, between two faults of a kind, and over which memory is a
+# median.
+WARM_UP_S, FAULT_PERIOD_S, MEMORY_S = 20.0, 17.0, 5.0
+# Of the batches; with faults the first ones after each may miss the target.
+LEAST_FOLLOWED = {False: 0.98, True: 0.8}
+QOS = QoSProfile(depth=20, reliability=QoSReliabilityPolicy.RELIABLE)
+
+
+def truth(time_s, shape):
+    """Return where the target is, x and y in pixels."""
+    return (shape[1] / 2 + 0.2 * shape[1] * math.sin(0.2 * time_s),
+            shape[0] / 2 + 0.2 * shape[0] * math.cos(0.2 * time_s))
+
+
+def publish(arguments):
+    """Publish noise with one target; print how many frames so far, once a second."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node('soak_publisher')
+    publisher = node.create_publisher(Image, 'image', QOS)
+    rng = np.random.default_rng(arguments.seed)
+    height, width = shape = tuple(arguments.size)
+    pool = rng.standard_normal((32, height, width)).astype(np.float32)
+    rows, columns = np.arange(height)[:, None], np.arange(width)
+    while not publisher.get_subscription_count():
+        time.sleep(0.05)
+    began_s = said_s = jumped_s = time.monotonic()
+    offset_s, n_sent = 0.0, Counter()
+    while True:
+        due_s = began_s + n_sent['good'] / arguments.rate
+        time.sleep(max(0.0, due_s - time.monotonic()))
+        now_s = time.time()
+        if 'jumps' in arguments.faults and time.monotonic() - jumped_s > FAULT_PERIOD_S:
+            # Back and forth by more than a batch.
+            jumped_s, offset_s = time.monotonic(), 0.0 if offset_s else -1000.0
+        if 'malformed' in arguments.faults and rng.random() < 0.2:
+            publisher.publish(malformed(rng))
+            n_sent['malformed'] += 1
+        x, y = truth(now_s, shape)
+        frame = np.roll(pool[rng.integers(len(pool))], rng.integers(height * width))
+        frame = frame + 6.0 * np.exp(
+            -0.5 * ((columns - x) ** 2 + (rows - y) ** 2)) / math.sqrt(math.pi)
+        # The time it was made comes back with the results as the frame's name.
+        publisher.publish(conversions.image_from_frame(frame.astype(np.float32), Header(
+            stamp=conversions.time_from_seconds(now_s + offset_s), frame_id=f'{now_s:.6f}')))
+        n_sent['good'] += 1
+        if time.monotonic() - said_s > 1.0:
+            said_s = time.monotonic()
+            print(n_sent['good'], n_sent['malformed'], flush=True)
+
+
+def malformed(rng):
+    """Return an image that is wrong in one way or another."""
+    return Image(
+        height=int(rng.integers(0, 200)), width=int(rng.integers(0, 200)),
+        encoding=str(rng.choice(['32FC1', 'mono8', 'nv12', '', '64FC3', 'x' * 50])),
+        step=int(rng.integers(0, 2000)), data=rng.bytes(int(rng.integers(0, 1000))))
+
+
+class Soak:
+    """What is heard of the detector, and what became of it."""
+
+    def __init__(self, arguments, folder):
+        self.arguments = arguments
+        self.shape = tuple(arguments.size)
+        self.latencies_s, self.memory = [], []
+        self.lives = [{}]
+        self.n_batches = self.n_followed = self.n_others = 0
+        self._stack = ExitStack()
+        self._folder = folder
+        self._began_s = time.monotonic()
+        self.logs = []
+        self.cpu_s = 0.0
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self.node = rclpy.create_node('soak')
+        self.node.create_subscription(PointCloud2, 'trajectories/points', self._hear_points, 50)
+        self.node.create_subscription(DiagnosticArray, '/diagnostics', self._hear_state, 50)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.detector = self._start('detector', [
+            '-m', 'track_before_detect.ros.executables.detector', '--ros-args', '-p',
+            'reliable:=true', '-p', f'batch_length:={BATCH}', '-p', f'hop:={HOP}', '-p',
+            f'frame_height:={self.shape[0]}', '-p', f'frame_width:={self.shape[1]}', '-p',
+            f'frame_rate_hz:={arguments.rate}', '-p', 'preset:=none'])
+        self.publisher = self._start('publisher', [__file__, '--publish', *sys.argv[1:]])
+
+    def _start(self, name, command):
+        log = self._folder / f'{name}{len(self.logs)}.log'
+        self.logs.append(log)
+        child = ChildProcess(name, [sys.executable, *command], log)
+        child.command = command
+        self._stack.enter_context(child).start()
+        return child
+
+    def restart(self, name):
+        """Kill a process and start it again."""
+        child = getattr(self, name)
+        os.kill(child.pid, signal.SIGKILL)
+        child.stop()
+        if name == 'detector':
+            self.lives.append({})
+            self.memory.clear()
+        setattr(self, name, self._start(name, child.command))
+
+    def _hear_points(self, message):
+        made_s = float(message.header.frame_id)
+        self.latencies_s.append(time.time() - made_s)
+        points = conversions.points_to_array(message)
+        newest = points[points['t'] >= points['t'].max(initial=0.0) - 1e-6]
+        x, y = truth(made_s, self.shape)
+        near = np.hypot(newest['x'] - x, newest['y'] - y) < NEAR_PX
+        self.n_batches += 1
+        self.n_followed += bool(near.any())
+        self.n_others += len(set(newest['id'][~near]))
+
+    def _hear_state(self, message):
+        for status in message.status:
+            if status.name == 'detector':
+                self.lives[-1] = {pair.key: pair.value for pair in status.values}
+
+    def run(self):
+        """Listen until the time is over, with a fault now and then."""
+        end_s = self._began_s + 60.0 * self.arguments.minutes
+        looked_s = fault_s = time.monotonic()
+        victims = ['detector', 'publisher']
+        while time.monotonic() < end_s:
+            self.executor.spin_once(timeout_sec=0.1)
+            for child in (self.detector, self.publisher):
+                assert child.exit_code is None, f'{child.name} ended: {child.last_lines(3)}'
+            if time.monotonic() - looked_s > 0.5:
+                looked_s = time.monotonic()
+                pages = int(Path(f'/proc/{self.detector.pid}/statm').read_text().split()[1])
+                self.memory.append((looked_s, pages * os.sysconf('SC_PAGE_SIZE')))
+            restarts = 'restarts' in self.arguments.faults
+            if restarts and time.monotonic() - fault_s > FAULT_PERIOD_S:
+                fault_s = time.monotonic()
+                self.restart(victims[0])
+                victims.reverse()
+
+    def close(self):
+        """End the publisher, wait for the last results, end the detector."""
+        self.publisher.stop()
+        until_s = time.monotonic() + 5.0
+        while time.monotonic() < until_s:
+            self.executor.spin_once(timeout_sec=0.1)
+        words = Path(f'/proc/{self.detector.pid}/stat').read_text().rsplit(')')[-1].split()
+        self.cpu_s = (int(words[11]) + int(words[12])) / os.sysconf('SC_CLK_TCK')
+        stopped = self.detector.stop()
+        self._stack.close()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+        assert stopped, f'the detector did not end well: {self.detector.last_lines(3)}'
+
+    def growth(self):
+        """Return memory after warm-up and at the end, in bytes; None when it was too short."""
+        began_s = self.memory[0][0] if self.memory else 0.0
+        times, sizes = (np.array(self.memory) if self.memory else np.empty((0, 2))).T
+        first = (times > began_s + WARM_UP_S) & (times < began_s + WARM_UP_S + MEMORY_S)
+        last = times > times.max(initial=0.0) - MEMORY_S
+        if not first.any() or times[last].min() < times[first].max():
+            return None
+        return np.median(sizes[first]), np.median(sizes[last])
+
+    def report(self):
+        """Print how it went; return the sentences about limits that were not kept."""
+        failures = []
+        counts = Counter()
+        for life in self.lives:
+            counts.update({key: int(value) for key, value in life.items()
+                           if key.startswith(('frames_', 'messages_', 'window_'))
+                           and value.isdigit()})
+        sent = [0, 0]
+        for log in self.logs:
+            if log.name.startswith('publisher') and (words := log.read_text().split()[-2:]):
+                sent = [before + int(word) for before, word in zip(sent, words)]
+        faulty = bool(self.arguments.faults)
+        print(f'sent: {sent[0]} frames and {sent[1]} malformed messages, to the last full second')
+        for key, value in sorted(counts.items()):
+            print(f'{key}: {value}')
+        accounted = sum(counts[f'frames_{what}'] for what in ('used', 'refused', 'waiting'))
+        if counts['frames_received'] > accounted + counts['frames_dropped']:
+            failures.append('frames that were received are not accounted for')
+        if counts['frames_dropped']:
+            failures.append(f'{counts["frames_dropped"]} frames were dropped')
+        if counts['frames_refused'] > sent[1] * 1.1 + 30 * len(self.lives) * faulty:
+            failures.append(f'{counts["frames_refused"]} messages were refused')
+        share = self.n_followed / max(1, self.n_batches)
+        print(f'batches: {self.n_batches}, target followed in {share:.1%}, '
+              f'{self.n_others} other trajectories')
+        if share < LEAST_FOLLOWED[faulty]:
+            failures.append(f'the target was followed in {share:.1%} of the batches only')
+        latencies_s = np.sort(self.latencies_s)
+        if len(latencies_s):
+            middle, late = np.percentile(latencies_s, (50, 99))
+            hop_s = HOP / self.arguments.rate
+            print(f'latency: median {1e3 * middle:.0f} ms, 99 % within {1e3 * late:.0f} ms '
+                  f'(a hop is {1e3 * hop_s:.0f} ms)')
+            if late > hop_s:
+                failures.append(f'latency: 99 % within {1e3 * late:.0f} ms, not a hop')
+        growth = self.growth()
+        if growth is None:
+            print('memory: the detector did not run for long enough to tell')
+        else:
+            before, after = growth
+            print(f'memory: {before / 2**20:.1f} MB after warm-up, {after / 2**20:.1f} MB at the '
+                  f'end ({after / before - 1.0:+.1%})')
+            if after > before * (1.0 + MOST_GROWTH):
+                failures.append(f'memory grew by {after / before - 1.0:.1%}')
+        print(f'processor: {self.cpu_s:.1f} s in the last life of the detector')
+        for failure in failures:
+            print(f'FAILED: {failure}')
+        return failures
+
+
+def main():
+    """Run the soak and return the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--minutes', type=float, default=1.0)
+    parser.add_argument('--size', type=int, nargs=2, default=(128, 128),
+                        metavar=('HEIGHT', 'WIDTH'))
+    parser.add_argument('--rate', type=float, default=30.0, help='frames per second')
+    parser.add_argument('--faults', nargs='*', choices=FAULTS, default=[])
+    parser.add_argument('--seed', type=int, default=0)
+    parser.add_argument('--publish', action='store_true', help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.publish:
+        publish(arguments)
+    os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    os.environ.setdefault('ROS_DOMAIN_ID', str(free_domain_id()))
+    with tempfile.TemporaryDirectory() as folder:
+        soak = Soak(arguments, Path(folder))
+        try:
+            soak.run()
+        finally:
+            soak.close()
+        return 1 if soak.report() else 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
