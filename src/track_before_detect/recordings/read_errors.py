@@ -1,8 +1,10 @@
-"""What libraries raise about damaged files becomes one sentence, and nothing stays open."""
+"""What libraries raise or say about damaged files becomes one sentence, nothing stays open."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 import importlib
+import logging
+import re
 import struct
 from types import ModuleType
 from typing import Protocol
@@ -13,6 +15,10 @@ from track_before_detect.errors import DataError, MissingExtraError
 # What damaged files raise in the image libraries.
 IMAGE_ERRORS = (OSError, EOFError, ValueError, TypeError, IndexError, KeyError, SyntaxError,
                 RuntimeError, struct.error, zlib.error)
+
+_PACKAGE = 'track_before_detect'
+# What Python puts before the words of a warning: file, line and class.
+_BEFORE_WARNING = re.compile(r'.*?([^/\\\s]+)\.py:\d+: (\w+): ')
 
 
 class Closable(Protocol):
@@ -45,6 +51,16 @@ def reader_module(module: str, package: str, what: str) -> ModuleType:
         raise MissingExtraError(
             f"reading {what} needs {package}: pip install 'track_before_detect[readers]'"
         ) from error
+
+
+def said_by_library(record: logging.LogRecord) -> str:
+    """Return what was logged, or warned of, as one line that names who says it."""
+    words = ' '.join(record.getMessage().split('\n  ')[0].split())
+    warned = _BEFORE_WARNING.match(words)
+    if record.name == 'py.warnings' and warned is not None:
+        return f'{words[warned.end():]} ({warned[2]} of {warned[1]})'
+    library = record.name.partition('.')[0]
+    return words if library == _PACKAGE else f'{words} (says {library})'
 
 
 @contextmanager

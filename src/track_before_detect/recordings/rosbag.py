@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, MissingExtraError
 from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
-from track_before_detect.recordings.pictures.pillow import decode_pillow_image
+from track_before_detect.recordings.pictures.pillow import decode_compressed_image
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
 
@@ -171,7 +171,7 @@ class _BagSource:
                 return decode_image(message.data, message.encoding, message.height,
                                     message.width, message.step, message.is_bigendian)
             if hasattr(message, 'format'):
-                return decode_pillow_image(bytes(message.data), f'its {message.format or "image"}')
+                return decode_compressed_image(bytes(message.data), message.format)
             layout = message.layout
             return multiarray_to_frame(message.data, [dim.size for dim in layout.dim],
                                        [dim.stride for dim in layout.dim], layout.data_offset)

@@ -1,13 +1,14 @@
 """Node ``detector``: frames in, trajectories out.
 
-Topics (relative): in ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Float32MultiArray); out
-``trajectories/markers``, ``trajectories/path``, ``trajectories/points``, ``overlay`` and
-``/diagnostics``. Service ``~/flush`` (std_srvs/Trigger) has the frames that were in no batch yet
-searched at once.
+Topics (relative): in ``image`` (sensor_msgs/Image) or ``image/compressed``, and ``frame``
+(std_msgs/Float32MultiArray); out ``trajectories/markers``, ``trajectories/path``,
+``trajectories/points``, ``overlay`` and ``/diagnostics``. Service ``~/flush`` (std_srvs/Trigger)
+has the frames that were in no batch yet searched at once.
 """
 
 from collections.abc import Callable, Mapping, Set
 from copy import copy
+from functools import partial
 import os
 import signal
 import sys
@@ -17,7 +18,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
-from numpy.typing import NDArray
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import (
@@ -35,7 +35,7 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_msgs.msg import Float32MultiArray, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -50,6 +50,19 @@ from track_before_detect.ros.diagnostics import (
     Warnings,
 )
 from track_before_detect.ros.frame_queue import StreamRequest
+from track_before_detect.ros.intake.frame_reader import (
+    ARRIVAL,
+    COMPRESSED,
+    FrameReader,
+    HEADER,
+    larger_segment_words,
+    RAW,
+    StampedFrame,
+    STEADY,
+)
+from track_before_detect.ros.intake.neighbours import neighbour_warnings, senders
+from track_before_detect.ros.logs.library_log import LibraryLog
+from track_before_detect.ros.logs.throttled import ThrottledLog
 from track_before_detect.ros.parameters import (
     NodeParameter,
     option_parameters,
@@ -106,6 +119,14 @@ PARAMETERS = [
         'frame_rate_hz', 0.0, 'Frames per second; see frame_height.', 'number', unit='Hz',
         minimum=0.0, optional=True),
     NodeParameter(
+        'stamp_source', HEADER, 'Where the stamps of frames come from: their header, their '
+        'arrival by the clock of the node, or by a steady one that starts at the time of day and '
+        'never jumps or stands still. Frames without header (topic frame) are stamped on arrival '
+        'in any case.', 'text', choices=(HEADER, ARRIVAL, STEADY)),
+    NodeParameter(
+        'image_transport', RAW, 'Whether images come as they are, or as PNG or JPEG on the topic '
+        'of the images with /compressed behind it.', 'text', choices=(RAW, COMPRESSED)),
+    NodeParameter(
         'reliable', False, 'Whether to ask for lost frames to be sent again; a best-effort '
         'publisher is then not heard.', 'boolean'),
 ]
@@ -121,6 +142,9 @@ class DetectorNode(ParameterizedNode):
         self._last_header = Header()
         self._warnings = Warnings()
         self._reception = Reception()
+        self._library_log = LibraryLog(self._warn)
+        self._log_state = ThrottledLog(lambda line: self.get_logger().info(line))
+        self._log_change = ThrottledLog(lambda line: self.get_logger().info(line))
         self._logged_state = ('', 0.0)
         self._began_s = time.monotonic()
         self._create_outputs()
@@ -151,25 +175,36 @@ class DetectorNode(ParameterizedNode):
 
     def on_change(self, names: list[str]) -> None:
         """Hand changed parameters to the worker, which uses them from the next batch on."""
-        self.get_logger().info(f'changed: {", ".join(names)}; in effect from the next batch on')
+        self._log_change(f'changed: {", ".join(names)}; in effect from the next batch on')
         self._worker.queue.configure(self._request)
 
     def stop(self) -> bool:
         """Stop the worker; return whether it stopped in time."""
+        self._library_log.close()
         return self._worker.stop(STOP_TIMEOUT_S)
 
     def _create_inputs(self) -> None:
-        reliability = (QoSReliabilityPolicy.RELIABLE if self.values()['reliable']
+        values = self.values()
+        reliability = (QoSReliabilityPolicy.RELIABLE if values['reliable']
                        else QoSReliabilityPolicy.BEST_EFFORT)
         qos = QoSProfile(depth=INPUT_DEPTH, reliability=reliability,
                          durability=QoSDurabilityPolicy.VOLATILE)
-        inputs = (('image', Image, self._take_image),
-                  ('frame', Float32MultiArray, self._take_multiarray))
-        for topic, kind, callback in inputs:
+        reader = FrameReader(
+            values['stamp_source'], (values['frame_height'], values['frame_width']),
+            self.get_clock(), self._warn)
+        image: tuple[str, type, Callable[[Any], StampedFrame]] = ('image', Image, reader.image)
+        if values['image_transport'] == COMPRESSED:
+            # Beside the topic of the images wherever that is remapped to, as its senders have it.
+            image = (f'{self.resolve_topic_name("image")}/compressed', CompressedImage,
+                     reader.compressed_image)
+        inputs = (image, ('frame', Float32MultiArray, reader.multiarray))
+        for topic, kind, read in inputs:
             with self.overridable_qos():
                 self.create_subscription(
-                    kind, topic, callback, qos, event_callbacks=self._event_callbacks(topic),
+                    kind, topic, partial(self._take, read), qos,
+                    event_callbacks=self._event_callbacks(topic),
                     qos_overriding_options=QoSOverridingOptions.with_default_policies())
+        self._inputs = [topic for topic, *_ in inputs]
 
     def _create_outputs(self) -> None:
         def publisher(kind: type, topic: str) -> Publisher:
@@ -181,7 +216,7 @@ class DetectorNode(ParameterizedNode):
         self._diagnostics = publisher(DiagnosticArray, '/diagnostics')
         self.create_service(Trigger, '~/flush', self._flush)
         # Diagnostics must go on when a simulated clock stands still.
-        self.create_timer(DIAGNOSTICS_PERIOD_S, self._publish_diagnostics,
+        self.create_timer(DIAGNOSTICS_PERIOD_S, self._look_around,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _event_callbacks(self, topic: str) -> SubscriptionEventCallbacks:
@@ -195,26 +230,20 @@ class DetectorNode(ParameterizedNode):
 
         def lost(event: QoSMessageLostInfo) -> None:
             self._reception.n_lost += event.total_count_change
-            self._warn(f'lost {topic}', f'{event.total_count} messages on {topic!r} were lost')
+            self._warn(f'lost {topic}', (f'{event.total_count} messages on {topic!r} were lost'
+                                          f'{larger_segment_words()}'))
 
         return SubscriptionEventCallbacks(incompatible_qos=incompatible, message_lost=lost)
 
-    def _take_image(self, message: Image) -> None:
-        self._take(lambda: conversions.frame_from_image(message), message.header)
-
-    def _take_multiarray(self, message: Float32MultiArray) -> None:
-        header = Header(stamp=self.get_clock().now().to_msg())
-        self._take(lambda: conversions.frame_from_multiarray(message), header)
-
-    def _take(self, convert: Callable[[], NDArray], header: Header) -> None:
+    def _take(self, read: Callable[[Any], StampedFrame], message: Any) -> None:
+        queue = self._worker.queue
         try:
-            pixels = convert()
+            frame = read(message)
         except TbdError as error:
-            self._worker.queue.refuse_message()
+            queue.refuse_message()
             self._warn('message', f'message refused: {error}')
             return
-        queue = self._worker.queue
-        if queue.put(pixels, conversions.seconds_from_time(header.stamp), header):
+        if queue.put(frame.pixels, frame.stamp_s, frame.header):
             busy = ('searching cannot keep up' if self._worker.status.state == 'ready' else
                     f'frames come while the search is made ready ({self._worker.status.state})')
             self._warn('dropped', (
@@ -280,7 +309,7 @@ class DetectorNode(ParameterizedNode):
         if status.state == 'failed':
             self.get_logger().error(f'{status.state}: {status.detail}')
         else:
-            self.get_logger().info(f'{status.state}: {status.detail}')
+            self._log_state(f'{status.state}: {status.detail}')
         self._publish_diagnostics()
 
     def _log_choice(self) -> None:
@@ -296,11 +325,20 @@ class DetectorNode(ParameterizedNode):
         if is_new:
             self.get_logger().warning(text)
 
-    def _publish_diagnostics(self) -> None:
+    def _look_around(self) -> None:
+        """Warn of what is wrong around the node, log what was held back, say how it is."""
+        self._reception.n_senders = len(senders(self, self._inputs))
+        for kind, text in neighbour_warnings(self, self._inputs).items():
+            self._warn(kind, text)
         if (self.get_parameter('use_sim_time').value and not self.get_clock().now().nanoseconds
                 and time.monotonic() - self._began_s > CLOCK_TIMEOUT_S):
             self._warn('clock', 'use_sim_time is set, but no time came on /clock: is the bag '
                        'played with --clock, or the simulation running?')
+        self._log_state.catch_up()
+        self._log_change.catch_up()
+        self._publish_diagnostics()
+
+    def _publish_diagnostics(self) -> None:
         queue = self._worker.queue
         self._send(self._diagnostics, diagnostics_message(
             self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(),

@@ -223,26 +223,40 @@ class ParameterizedNode(Node):
             raise ParameterError(str(error)) from error
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
-        """Set parameters one by one; see :meth:`set_parameters_atomically`."""
-        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+        """Set parameters together if they can be, else each that can; one change either way."""
+        whole, changed = self._set(parameter_list)
+        results = [whole] * len(parameter_list)
+        if not whole.successful:
+            each = [self._set([parameter]) for parameter in parameter_list]
+            results = [result for result, _ in each]
+            changed = [name for _, names in each for name in names]
+        if changed:
+            self.on_change(changed)
+        return results
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters, refusing what cannot be used with a sentence that says why."""
+        result, changed = self._set(parameter_list)
+        if changed:
+            self.on_change(changed)
+        return result
+
+    def _set(self, parameter_list: list[Parameter]) -> tuple[SetParametersResult, list[str]]:
+        """Set parameters all or none; return the answer, and the names of those that changed."""
         before = self.values()
         try:
             checked = self._checked_changes(parameter_list)
         except ParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=str(error)), []
         result = super().set_parameters_atomically(checked)
+        if not result.successful:
+            return result, []
         names = [parameter.name for parameter in checked if parameter.name in self._table]
-        if result.successful:
-            # One that is told its value for the first time no longer goes by the preset.
-            changed = [name for name in names
-                       if name not in self._told or self.values()[name] != before[name]]
-            self._told |= set(names)
-            if changed:
-                self.on_change(changed)
-        return result
+        # One that is told its value for the first time no longer goes by the preset.
+        changed = [name for name in names
+                   if name not in self._told or self.values()[name] != before[name]]
+        self._told |= set(names)
+        return result, changed
 
     def _checked_changes(self, parameter_list: list[Parameter]) -> list[Parameter]:
         values = self.values()

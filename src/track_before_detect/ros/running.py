@@ -12,6 +12,7 @@ from rclpy.node import Node
 from rclpy.utilities import try_shutdown
 
 from track_before_detect.errors import TbdError
+from track_before_detect.ros.logs.log_folder import ensure_log_folder
 
 EXIT_DONE = 0
 EXIT_BAD_INPUT = 2
@@ -41,8 +42,11 @@ def run(name: str, make_node: Callable[[], AnyNode], spin: Callable[[AnyNode], N
     """
     node = None
     try:
+        note = ensure_log_folder()
         _init(args)
         node = make_node()
+        if note:
+            node.get_logger().warning(note)
         spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass

@@ -1,0 +1,1 @@
+"""What the nodes say, where, and how often."""
