@@ -46,11 +46,14 @@ def read_errors(message: str, errors: tuple[type[Exception], ...]) -> Iterator[N
 def reader_module(module: str, package: str, what: str) -> ModuleType:
     """Return the module of an optional package that reads something."""
     try:
-        return importlib.import_module(module)
+        imported = importlib.import_module(module)
     except ImportError as error:
         raise MissingExtraError(
             f"reading {what} needs {package}: pip install 'track_before_detect[readers]'"
         ) from error
+    # Some log what they find odd in a file straight to the terminal.
+    logging.getLogger(module.partition('.')[0]).addFilter(_GATHERING)
+    return imported
 
 
 def said_by_library(record: logging.LogRecord) -> str:
@@ -61,6 +64,35 @@ def said_by_library(record: logging.LogRecord) -> str:
         return f'{words[warned.end():]} ({warned[2]} of {warned[1]})'
     library = record.name.partition('.')[0]
     return words if library == _PACKAGE else f'{words} (says {library})'
+
+
+class _Gathering(logging.Filter):
+    """Keeps warnings from their way while somebody gathers them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.gatherers: list[list[str]] = []
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a record goes on its way."""
+        if record.levelno < logging.WARNING or not self.gatherers:
+            return True
+        self.gatherers[-1].append(' '.join(record.getMessage().split()))
+        return False
+
+
+_GATHERING = _Gathering()
+
+
+@contextmanager
+def gathered_warnings() -> Iterator[list[str]]:
+    """Yield what the libraries that read files say of them meanwhile, which nobody else hears."""
+    words: list[str] = []
+    _GATHERING.gatherers.append(words)
+    try:
+        yield words
+    finally:
+        _GATHERING.gatherers.remove(words)
 
 
 @contextmanager

@@ -16,8 +16,10 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.parameter_service import ParameterService
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 
 from track_before_detect.checks import checked_number
@@ -158,6 +160,24 @@ def option_values(parameters: Iterable[NodeParameter], values: Mapping[str, Any]
     return {name: getattr(checked, name) for name in options}
 
 
+class _TogetherService(ParameterService):
+    """Sets the parameters of a call, such as those of a file, as one change.
+
+    The service of rclpy sets one after the other: the order would decide whether values that go
+    together are refused.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._set = node.set_parameters
+        super().__init__(node)
+
+    def _set_parameters_callback(self, request: SetParameters.Request,
+                                 response: SetParameters.Response) -> SetParameters.Response:
+        response.results = self._set(
+            [Parameter.from_parameter_msg(parameter) for parameter in request.parameters])
+        return response
+
+
 class ParameterizedNode(Node):
     """Node whose parameters are declared from a table.
 
@@ -175,7 +195,8 @@ class ParameterizedNode(Node):
     """
 
     def __init__(self, name: str, parameters: list[NodeParameter]):
-        super().__init__(name)
+        super().__init__(name, start_parameter_services=False)
+        self._parameter_services = _TogetherService(self)
         self._table = {parameter.name: parameter for parameter in parameters}
         # Names of the parameters that were given a value, be it the default.
         self._told = self._table.keys() & self._parameter_overrides.keys()
