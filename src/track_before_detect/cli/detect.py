@@ -198,7 +198,8 @@ def search(recording: Recording, preset: str, told: Mapping[str, Any],
     from track_before_detect.tracking.presets import choose_for
     from track_before_detect.tracking.recording import detect_recording
 
-    check_batch_size(recording.name, recording.shape, len(recording), told.get('batch_length'))
+    check_batch_size(recording.name, recording.shape, len(recording),
+                     DetectorOptions.from_mapping(told).batch_length)
     options, reasons = choose_for(recording, preset, told)
     for reason in reasons:
         print(f'preset {preset}: {reason}', file=sys.stderr)

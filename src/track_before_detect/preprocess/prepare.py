@@ -36,6 +36,8 @@ _QUANTISED_FLOOR = 0.3  # of a grey level: rounding alone adds 1/sqrt(12)
 
 # Single precision has 24 bits.
 MOST_OVER_NOISE = 1e8
+# Beyond this the sum of the squares of a frame is infinite in single precision.
+_MOST_VALUE = 1e15
 
 _LEAST_FRAMES = 3  # that tell what stands still from what moves
 _LEAST_MESH_PX = 12  # cells this small follow the shading of a lens under a panning camera
@@ -122,7 +124,7 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float,
         New arrays; where a step is not asked for, its part of the input is passed on. All frames
         are NaN where too few of them turn out to be pictures.
     """
-    prepared = _in_single_precision(batch)
+    prepared = _without_garbage(_in_single_precision(batch), _MOST_VALUE, '')
     _check_options(options, prepared)
     if options.mask is not None:
         prepared = _masked(prepared, masked_pixels(options.mask, batch))
@@ -160,8 +162,7 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float,
         prepared = replace(
             prepared, maps=geometry.translations(np.zeros((len(prepared), 2))),
             scene=_credible(prepared.registration))
-    _check_size(prepared.frames)
-    return prepared
+    return _without_garbage(prepared, MOST_OVER_NOISE, ' times their noise')
 
 
 def _in_single_precision(batch: FrameBatch) -> PreparedBatch:
@@ -389,17 +390,28 @@ def _shifted_whole(frames: NDArray, maps: NDArray) -> NDArray:
                      for frame, offset in zip(frames, maps[:, :2, 2].astype(int), strict=True)])
 
 
-def _check_size(frames: NDArray) -> None:
-    """Refuse pixels beside whose rounding the noise would not be seen."""
-    parts = _real_parts(frames)
+def _without_garbage(prepared: PreparedBatch, most: float, unit: str) -> PreparedBatch:
+    """Return a batch in which frames are masked that hold pixels beyond any, if few do.
+
+    Beside the rounding of such pixels the noise would not be seen.
+    """
+    frames = prepared.frames
+    found = np.zeros(len(frames), dtype=bool)
     for sign in (1, -1):
-        if np.any(sign * parts > MOST_OVER_NOISE):
-            size = np.abs(np.nan_to_num(frames, nan=0.0))
-            t, y, x = np.unravel_index(int(np.argmax(size)), size.shape)
-            raise DataError(
-                f'pixels must be at most {MOST_OVER_NOISE:g} times their noise, got '
-                f'{size[t, y, x]:g} times in frame {t} of a batch at x = {x}, y = {y}: scale the '
-                'frames, set noise=robust, or mask pixels that hold no data')
+        # NaN is not greater than anything, and no copy of the frames is made.
+        found |= np.any(sign * _real_parts(frames) > most, axis=(1, 2))
+    if not found.any():
+        return prepared
+    size = np.abs(np.nan_to_num(frames, nan=0.0))
+    t, y, x = np.unravel_index(int(np.argmax(size)), size.shape)
+    words = (f'pixels must be at most {most:g}{unit}, got {size[t, y, x]:g}{unit} in frame '
+             f'{{}} at x = {x}, y = {y}')
+    if 2 * found.sum() >= _n_shown(prepared):
+        raise DataError(f'{words.format(f"{t} of a batch")}: scale the frames, set noise=robust, '
+                        'or mask pixels that hold no data')
+    return _with_remark(
+        _masked(prepared, found[:, None, None]), 'garbage values', '{frames} masked: '
+        + words.format(prepared.frame_indices[t]), found)
 
 
 def _real_parts(frames: NDArray) -> NDArray[np.float32]:

@@ -95,10 +95,10 @@ def _whole_array(path: Path, archive: zipfile.ZipFile, name: str,
     with (read_errors(f'array {name!r} of {path} cannot be read', _READ_ERRORS),
           archive.open(f'{name}.npy') as file):
         shape, _, dtype = _read_header(file)
+        _check_size(path, archive, name, shape, dtype, file.tell())
         if math.prod(shape) > most_values:
             raise DataError(f'array {name!r} of {path} must hold at most {most_values} values, '
                             f'got shape {shape}')
-        _check_size(path, archive, name, shape, dtype, file.tell())
         file.seek(0)
         return np.lib.format.read_array(file, allow_pickle=False)
 

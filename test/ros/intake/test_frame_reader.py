@@ -127,7 +127,7 @@ def test_pictures_of_8_and_16_bits_are_unpacked(warned):
 
 
 @pytest.mark.parametrize(('data', 'sentence'), [
-    (b'', 'the png of a message cannot be read: it is no PNG or JPEG'),
+    (b'', 'its png cannot be read: it is no PNG or JPEG'),
     (b'nonsense', 'it is no PNG or JPEG'),
     (picture(np.zeros((8, 8), np.uint8))[:-30], 'cannot be read'),
     (picture(np.zeros((4, 4), np.uint8), 'TIFF'), 'it is no PNG or JPEG'),

@@ -34,7 +34,7 @@ def decode_compressed_image(data: bytes, description: str) -> NDArray:
     description : str
         Its ``format``, such as ``'mono16; png compressed '``.
     """
-    name = f'the {description or "picture"} of a message'
+    name = f'its {description or "picture"}'
     pixels = decode_pillow_image(data, name, _MESSAGE_FORMATS, MOST_PIXELS)
     # Coders of pictures in colour take the mosaic away before.
     is_mosaic = description.startswith('bayer_') and 'compressed bgr' not in description
