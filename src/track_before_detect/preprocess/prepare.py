@@ -409,9 +409,9 @@ def _check_size(frames: NDArray) -> None:
     if frames_beyond(frames, MOST_OVER_NOISE).any():
         value, t, place = _largest(frames)
         raise DataError(
-            f'pixels must be at most {MOST_OVER_NOISE:g} times their noise, got {value:g} times in '
-            f'frame {t} of a batch at {place}: scale the frames, set noise=robust, or mask pixels '
-            'that hold no data')
+            f'pixels must be at most {MOST_OVER_NOISE:g} times their noise, got {value:g} times '
+            f'in frame {t} of a batch at {place}: scale the frames, set noise=robust, or mask '
+            'pixels that hold no data')
 
 
 def frames_beyond(frames: NDArray, most: float = MOST_VALUE) -> NDArray[np.bool_]:

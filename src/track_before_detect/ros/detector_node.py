@@ -148,6 +148,7 @@ class DetectorNode(ParameterizedNode):
         self._logged_state = ('', 0.0)
         self._began_s = time.monotonic()
         self._create_outputs()
+        self._sources = self._frame_sources()
         self._create_inputs()
         self.finish_parameters()
         values = self.values()
@@ -183,28 +184,30 @@ class DetectorNode(ParameterizedNode):
         self._library_log.close()
         return self._worker.stop(STOP_TIMEOUT_S)
 
-    def _create_inputs(self) -> None:
+    def _frame_sources(self) -> list[tuple[str, type, Callable[[Any], StampedFrame]]]:
+        """Return the topics of frames, the type of each, and what reads a message of it."""
         values = self.values()
-        reliability = (QoSReliabilityPolicy.RELIABLE if values['reliable']
-                       else QoSReliabilityPolicy.BEST_EFFORT)
-        qos = QoSProfile(depth=INPUT_DEPTH, reliability=reliability,
-                         durability=QoSDurabilityPolicy.VOLATILE)
         reader = FrameReader(
             values['stamp_source'], (values['frame_height'], values['frame_width']),
             self.get_clock(), self._warn)
-        image: tuple[str, type, Callable[[Any], StampedFrame]] = ('image', Image, reader.image)
+        arrays = ('frame', Float32MultiArray, reader.multiarray)
         if values['image_transport'] == COMPRESSED:
             # Beside the topic of the images wherever that is remapped to, as its senders have it.
-            image = (f'{self.resolve_topic_name("image")}/compressed', CompressedImage,
-                     reader.compressed_image)
-        inputs = (image, ('frame', Float32MultiArray, reader.multiarray))
-        for topic, kind, read in inputs:
+            return [(f'{self.resolve_topic_name("image")}/compressed', CompressedImage,
+                     reader.compressed_image), arrays]
+        return [('image', Image, reader.image), arrays]
+
+    def _create_inputs(self) -> None:
+        reliability = (QoSReliabilityPolicy.RELIABLE if self.values()['reliable']
+                       else QoSReliabilityPolicy.BEST_EFFORT)
+        qos = QoSProfile(depth=INPUT_DEPTH, reliability=reliability,
+                         durability=QoSDurabilityPolicy.VOLATILE)
+        for topic, kind, read in self._sources:
             with self.overridable_qos():
                 self.create_subscription(
                     kind, topic, partial(self._take, read), qos,
                     event_callbacks=self._event_callbacks(topic),
                     qos_overriding_options=QoSOverridingOptions.with_default_policies())
-        self._inputs = [topic for topic, *_ in inputs]
 
     def _create_outputs(self) -> None:
         def publisher(kind: type, topic: str) -> Publisher:
@@ -327,8 +330,9 @@ class DetectorNode(ParameterizedNode):
 
     def _look_around(self) -> None:
         """Warn of what is wrong around the node, log what was held back, say how it is."""
-        self._reception.n_senders = len(senders(self, self._inputs))
-        for kind, text in neighbour_warnings(self, self._inputs).items():
+        topics = [topic for topic, *_ in self._sources]
+        self._reception.n_senders = len(senders(self, topics))
+        for kind, text in neighbour_warnings(self, topics).items():
             self._warn(kind, text)
         if (self.get_parameter('use_sim_time').value and not self.get_clock().now().nanoseconds
                 and time.monotonic() - self._began_s > CLOCK_TIMEOUT_S):

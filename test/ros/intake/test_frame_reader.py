@@ -6,6 +6,8 @@ import pytest
 pytest.importorskip('rclpy')
 
 from builtin_interfaces.msg import Time  # noqa: E402
+from hypothesis import given, settings  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
 import numpy as np  # noqa: E402
 import PIL.Image  # noqa: E402
 from rclpy.clock import Clock  # noqa: E402
@@ -14,6 +16,7 @@ from sensor_msgs.msg import CompressedImage, Image  # noqa: E402
 from std_msgs.msg import Float32MultiArray, Header, MultiArrayDimension  # noqa: E402
 
 from track_before_detect.errors import DataError  # noqa: E402
+from track_before_detect.recordings.encodings import ENCODINGS  # noqa: E402
 from track_before_detect.ros import conversions  # noqa: E402
 from track_before_detect.ros.intake.frame_reader import FrameReader  # noqa: E402
 
@@ -151,3 +154,49 @@ def test_colour_of_16_bits_is_luminance_in_either_byte_order(warned, encoding, b
     image.data = pixels.tobytes()
     wanted = 300 if names == 'g' else 0.299 * 50_000 + 0.587 * 300 + 0.114 * 20_000
     np.testing.assert_allclose(reader(warned).image(image).pixels, wanted, rtol=1e-6)
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.sampled_from([*ENCODINGS, '', 'nv12', 'mono8 ']), st.integers(0, 6), st.integers(0, 6),
+       st.integers(0, 40) | st.just(2**32 - 1), st.integers(0, 255), st.binary(max_size=300),
+       st.integers(0, 2**32 - 1))
+def test_any_image_is_a_frame_or_refused_in_words(encoding, height, width, step, big, data, ns):
+    message = Image(header=Header(stamp=Time(sec=1, nanosec=ns)), encoding=encoding, step=step,
+                    height=height, width=width, is_bigendian=big)
+    message.data = data
+    try:
+        frame = reader({}).image(message)
+    except DataError:
+        return
+    assert frame.pixels.shape == (height, width)
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.lists(st.tuples(*2 * [st.integers(0, 9) | st.just(2**32 - 1)]), max_size=4),
+       st.integers(0, 4) | st.just(2**32 - 1), st.integers(0, 40))
+def test_any_array_is_a_frame_or_refused_in_words(dimensions, offset, n_items):
+    message = Float32MultiArray(data=[1.0] * n_items)
+    message.layout.data_offset = offset
+    message.layout.dim = [
+        MultiArrayDimension(size=size, stride=stride) for size, stride in dimensions]
+    try:
+        frame = reader({}, shape=(2, 3)).multiarray(message)
+    except DataError:
+        return
+    assert frame.pixels.ndim == 2 and frame.pixels.size <= n_items
+
+
+PICTURES = [picture(np.arange(64, dtype=np.uint8).reshape(8, 8), kind) for kind in ('PNG', 'JPEG')]
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.sampled_from(PICTURES), st.data())
+def test_any_picture_is_a_frame_or_refused_in_words(sound, data):
+    spoilt = bytearray(sound)
+    for _ in range(data.draw(st.integers(1, 4))):
+        spoilt[data.draw(st.integers(0, len(spoilt) - 1))] = data.draw(st.integers(0, 255))
+    try:
+        frame = reader({}).compressed_image(compressed(bytes(spoilt)))
+    except DataError:
+        return
+    assert frame.pixels.ndim == 2
