@@ -24,6 +24,7 @@ SHAPE = (32, 40)
 OPTIONS = ['-p', 'threshold:=12.0', '-p', 'batch_length:=10', '-p', 'hop:=10', '-p',
            'preset:=none', '-p', f'frame_height:={SHAPE[0]}', '-p', f'frame_width:={SHAPE[1]}',
            '-p', 'queue_length:=100', '-p', 'flush_after_s:=1000.0']
+EPOCH_S = 1_700_000_000
 RELIABLE = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.RELIABLE)
 BEST_EFFORT = QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 
@@ -64,9 +65,9 @@ def test_odd_stamps_layouts_floods_and_neighbours_are_named_and_the_search_goes_
 
     # Without a scale of one the library warns, which comes through the node.
     for k, frame in enumerate(50 * frames):
-        image.publish(conversions.image_from_frame(frame, stamped(100 + 0.04 * k)))
+        image.publish(conversions.image_from_frame(frame, stamped(EPOCH_S + 0.04 * k)))
         # An odd stamp between good ones neither starts the window again nor stops it.
-        for sec, nanosec in ((0, 0), (100, 4_000_000_000)):
+        for sec, nanosec in ((0, 0), (EPOCH_S, 4_000_000_000)):
             header = stamped(0.0)
             header.stamp.sec, header.stamp.nanosec = sec, nanosec
             image.publish(conversions.image_from_frame(frame, header))
@@ -76,7 +77,7 @@ def test_odd_stamps_layouts_floods_and_neighbours_are_named_and_the_search_goes_
     assert 'header.stamp is 0' in detector.output
     detector.wait_for_line(r'\[WARN\] .*the pixels have a median of .*set noise=robust')
 
-    message = conversions.image_from_frame(frames[0], stamped(100.4))
+    message = conversions.image_from_frame(frames[0], stamped(EPOCH_S + 0.4))
     message.data = bytes(message.data) + b'123'
     image.publish(message)
     station.wait_for_diagnostics(frames_used=11)

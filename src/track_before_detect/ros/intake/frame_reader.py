@@ -17,6 +17,9 @@ from track_before_detect.ros import conversions
 
 HEADER, ARRIVAL, STEADY = 'header', 'arrival', 'steady'
 RAW, COMPRESSED = 'raw', 'compressed'
+# Recordings and simulations may begin at zero, and again when they loop; a clock that shows more,
+# 11 days, was set.
+LATEST_FROM_ZERO_S = 10**6
 
 
 class StampedFrame(NamedTuple):
@@ -51,6 +54,8 @@ class FrameReader:
         self._clock = clock
         self._warn = warn
         self._steady_offset_s = time.time() - time.monotonic()
+        # None that a message could have, before the first.
+        self._last_stamp = Time(sec=-1)
         self._last_arrival = Time()
 
     def image(self, message: Image) -> StampedFrame:
@@ -82,7 +87,9 @@ class FrameReader:
         if header.stamp.nanosec >= 10**9:
             raise DataError('nanosec of header.stamp must be below 1e9, got '
                             f'{header.stamp.nanosec}')
-        if header.stamp == Time():
+        last, self._last_stamp = self._last_stamp, header.stamp
+        if header.stamp == Time() and (last == Time() or last.sec > LATEST_FROM_ZERO_S):
+            self._last_stamp = last
             raise DataError('header.stamp is 0, which is taken for none: the publisher must fill '
                             'it in, or stamp_source=arrival takes the time of arrival')
         return header
