@@ -417,7 +417,7 @@ def _check_size(frames: NDArray) -> None:
 def frames_beyond(frames: NDArray, most: float = MOST_VALUE) -> NDArray[np.bool_]:
     """Return the frames (T,) with a pixel beyond a bound of either sign."""
     parts = frames.view(frames.real.dtype) if np.iscomplexobj(frames) else frames
-    return np.any([np.any(sign * parts > most, axis=(1, 2)) for sign in (1, -1)], axis=0)
+    return np.any((parts > most) | (parts < -most), axis=(1, 2))
 
 
 def _largest(frames: NDArray) -> tuple[float, int, str]:
