@@ -2,7 +2,11 @@
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
-from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch.substitutions import (
+    EnvironmentVariable,
+    LaunchConfiguration,
+    PathJoinSubstitution,
+)
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 from launch_ros.substitutions import FindPackageShare
@@ -12,6 +16,12 @@ def generate_launch_description() -> LaunchDescription:
     """Return the frame publisher and the detector."""
     config = [FindPackageShare('track_before_detect'), 'config']
     namespace = LaunchConfiguration('namespace')
+    # Received frames are large blocks, which the allocator shall keep.
+    environment = {
+        'FASTRTPS_DEFAULT_PROFILES_FILE': LaunchConfiguration('fastdds_profile'),
+        'MALLOC_MMAP_THRESHOLD_': '1073741824',
+        'MALLOC_TRIM_THRESHOLD_': '1073741824',
+    }
     return LaunchDescription([
         DeclareLaunchArgument(
             'input', default_value='',
@@ -33,12 +43,18 @@ def generate_launch_description() -> LaunchDescription:
             description='Parameters of the frame publisher.'),
         DeclareLaunchArgument(
             'namespace', default_value='', description='Namespace of the nodes and topics.'),
+        DeclareLaunchArgument(
+            'fastdds_profile', default_value=EnvironmentVariable(
+                'FASTRTPS_DEFAULT_PROFILES_FILE', default_value=PathJoinSubstitution(
+                    [*config, 'fastdds_profile.xml'])),
+            description='Profile of Fast DDS; the default lets frames of 1 MB and more through.'),
         Node(
             package='track_before_detect',
             executable='frame_publisher',
             name='frame_publisher',
             namespace=namespace,
             output='screen',
+            additional_env=environment,
             parameters=[
                 LaunchConfiguration('publisher_params_file'),
                 {
@@ -55,6 +71,7 @@ def generate_launch_description() -> LaunchDescription:
             name='detector',
             namespace=namespace,
             output='screen',
+            additional_env=environment,
             parameters=[LaunchConfiguration('detector_params_file')],
         ),
     ])

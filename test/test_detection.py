@@ -2,6 +2,7 @@
 
 import dataclasses
 import logging
+import re
 
 import numpy as np
 import pytest
@@ -102,11 +103,27 @@ def test_bad_options_are_named(options, message):
         tbd.detect(FRAMES, **options)
 
 
-@pytest.mark.parametrize('value', [1e9, -1e30])
-def test_pixel_beside_which_the_noise_is_lost_to_rounding_is_named(value):
-    frames = FRAMES.copy()
+@pytest.mark.parametrize(('value', 'words'), [
+    (1e9, '1e.08 times their noise, got 1e.09 times'), (-1e30, r'1e\+15, got 1e\+30'),
+    (3e38, r'1e\+15, got 3e\+38')])
+def test_frame_with_a_pixel_beside_which_the_noise_is_lost_to_rounding_is_masked(value, words):
+    frames = np.concatenate([FRAMES, FRAMES[1:]])
     frames[2, 5, 7] = value
-    with pytest.raises(tbd.DataError, match='1e.08 times their noise.*frame 2 .* x = 7, y = 5'):
+    result = tbd.detect(frames, threshold=8)
+    [remark] = result.remarks
+    assert re.search(f'^frame 2 masked: .*{words}.* in frame 2 at x = 7, y = 5$', remark)
+    masked = frames.copy()
+    masked[2] = np.nan
+    expected = tbd.detect(masked, threshold=8)
+    assert [t.positions.tolist() for t in result.trajectories] == [
+        t.positions.tolist() for t in expected.trajectories]
+
+
+@pytest.mark.parametrize('value', [1e9, -1e30])
+def test_pixel_beside_which_the_noise_is_lost_to_rounding_in_most_frames_is_named(value):
+    frames = FRAMES.copy()
+    frames[1:, 5, 7] = value
+    with pytest.raises(tbd.DataError, match=r'frame 1 of a batch at x = 7, y = 5: scale the fr'):
         tbd.detect(frames, threshold=8)
 
 

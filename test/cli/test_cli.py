@@ -1,8 +1,10 @@
 import csv
 import dataclasses
 import importlib.util
+import io
 import json
 import logging
+import math
 import os
 from pathlib import Path
 import signal
@@ -10,6 +12,7 @@ import subprocess
 import sys
 import time
 import types
+import zipfile
 
 import numpy as np
 import pytest
@@ -327,6 +330,7 @@ def test_file_of_a_preset_is_used_and_what_is_told_wins(
      (['--config', 'no.yaml'], ['no.yaml cannot be read']),
      (['--config', 'list.yaml'], ['must hold names and values, got a list']),
      (['--config', 'bad.yaml'], ['is not YAML']),
+     (['--config', 'nested.yaml'], ['nested.yaml is not YAML with options: too many brackets']),
      (['--config', 'two.yaml'], ['ros__parameters of one node']),
      (['--config', 'unknown.yaml'], ["unknown option 'colour'"]),
      (['--output', 'list.yaml'], ['must be a folder', 'list.yaml']),
@@ -337,6 +341,7 @@ def test_bad_option_is_one_sentence_exit_code_2_and_no_output(
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'list.yaml').write_text('[1, 2]')
     (tmp_path / 'bad.yaml').write_text('a: [1\nb: }')
+    (tmp_path / 'nested.yaml').write_text('a: ' + 100_000 * '[')
     (tmp_path / 'two.yaml').write_text('a: {ros__parameters: {}}\nb: {ros__parameters: {}}')
     (tmp_path / 'unknown.yaml').write_text('colour: red')
     before = sorted(os.listdir(tmp_path))
@@ -358,6 +363,27 @@ def test_bad_input_is_one_sentence_exit_code_2_and_no_output(
     assert run('detect', tmp_path / name, '--output', tmp_path / 'out') == 2
     assert_one_sentence(capsys, name)
     assert not (tmp_path / 'out').exists()
+
+
+@pytest.mark.parametrize(('shape', 'fortran_order', 'arguments', 'words'), [
+    ((6, 10_000, 10_000), False, [], '6 frames of 10000 x 10000 pixels at a time take 2.4 GB'),
+    ((6, 10_000, 10_000), True, [], '6 frames of 10000 x 10000 pixels at a time take 2.4 GB'),
+    ((600, 3000, 3000), False, ['--set', 'batch_length=60'], '60 frames of 3000 x 3000 pixels'),
+])
+def test_what_is_too_large_is_refused_before_it_is_unpacked(
+        tmp_path, capsys, shape, fortran_order, arguments, words):
+    path = tmp_path / 'huge.npz'
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {'descr': '<f4', 'fortran_order': fortran_order, 'shape': shape})
+    np.savez(path, fps=25)
+    # Of the pixels, which nobody may ask for, there is a directory entry alone.
+    with zipfile.ZipFile(path, 'a', zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr('frames.npy', header.getvalue() + bytes(1000))
+        archive.getinfo('frames.npy').file_size = 4 * math.prod(shape) + len(header.getvalue())
+        archive.start_dir = archive.fp.tell()
+    assert run('detect', path, '--output', tmp_path / 'out', *arguments) == 2
+    assert_one_sentence(capsys, 'huge.npz is too large to search', words, 'lower batch_length')
 
 
 @pytest.mark.parametrize(

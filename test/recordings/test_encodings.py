@@ -114,6 +114,7 @@ def test_bad_image_is_refused_in_one_sentence(arguments, message):
 
 def test_every_encoding_is_listed():
     assert set(ENCODINGS) == set(GREY) | set(COLOUR) | set(LUMA) | {'32FC2'} | {
+        encoding.replace('8', '16') for encoding in COLOUR} | {'8UC4', '16UC4'} | {
         f'{mosaic}{bits}' for mosaic in MOSAICS for bits in (8, 16)}
 
 

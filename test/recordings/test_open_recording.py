@@ -260,6 +260,17 @@ def test_stamps_that_the_archive_cannot_hold_are_refused_before_they_are_read(tm
     refuse(path, "array 'stamps' of .* needs 8000000000000 bytes, got 0$")
 
 
+def test_stamps_without_end_are_refused_before_they_are_read(tmp_path):
+    header = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        header, {'descr': '|u1', 'fortran_order': False, 'shape': (10**7 + 1,)})
+    path = tmp_path / 'zeros.npz'
+    np.savez(path, frames=FRAMES)
+    with zipfile.ZipFile(path, 'a', zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr('stamps.npy', header.getvalue() + bytes(10**7 + 1))
+    refuse(path, r"'stamps' of .* at most 10000000 values, got shape \(10000001,\)$")
+
+
 def test_array_shorter_than_its_header_says_is_refused(tmp_path):
     path = tmp_path / 'short.npz'
     np.save(tmp_path / 'frames.npy', FRAMES)

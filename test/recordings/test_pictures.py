@@ -1,6 +1,9 @@
 """Images, TIFF and FITS files as people have them: exact values, axes, stamps, or one sentence."""
 
+import re
 import struct
+import subprocess
+import sys
 import zlib
 
 import numpy as np
@@ -333,3 +336,48 @@ def test_cube_of_two_long_axes_is_refused(tmp_path):
     fits = pytest.importorskip('astropy.io.fits')
     fits.PrimaryHDU(FRAMES.reshape(6, 2, 9, 10)).writeto(tmp_path / 'a.fits')
     refuse(tmp_path / 'a.fits', 'three axes .*found 6x2x9x10')
+
+
+OPEN_ALL = """
+import sys
+from track_before_detect.errors import DataError
+from track_before_detect.recordings.open_recording import open_recording
+for path in sys.argv[1:]:
+    try:
+        with open_recording(path) as recording:
+            print(recording.remarks[-1], recording[0].sum())
+    except DataError as error:
+        print(error)
+"""
+
+
+def test_what_a_library_says_of_a_file_is_one_sentence_of_ours(tmp_path):
+    tifffile = pytest.importorskip('tifffile')
+    fits = pytest.importorskip('astropy.io.fits')
+    frames = np.ones((9, 20, 30), np.float32)
+    odd, short, cut, header = (tmp_path / name for name in (
+        'odd.tif', 'short.tif', 'cut.fits', 'header.fits'))
+    tifffile.imwrite(odd, frames, photometric='minisblack', software='somebody')
+    data = bytearray(odd.read_bytes())
+    with tifffile.TiffFile(odd) as file:
+        place = file.pages[0].tags['Software'].offset + 2
+    data[place:place + 2] = (99).to_bytes(2, 'little')
+    odd.write_bytes(data)
+    tifffile.imwrite(short, frames, photometric='minisblack', metadata=None, contiguous=False)
+    short.write_bytes(short.read_bytes()[:-12_000])
+    fits.writeto(cut, frames)
+    data = cut.read_bytes()
+    cut.write_bytes(data[:-10_000])
+    header.write_bytes(data.replace(b'EXTEND  =                    T',
+                                    b'EXTEND  =                Q odd'))
+    # In a process of its own, for the tests make errors of what Python warns of.
+    done = subprocess.run([sys.executable, '-c', OPEN_ALL, odd, cut, short, header],
+                          capture_output=True, text=True, check=True)
+    lines = done.stdout.splitlines()
+    for line, path, words in zip(lines, (odd, cut, short, header), (
+            'is damaged or unusual: .*invalid data type 99.* 600.0$',
+            'is damaged or unusual: File may have been truncated.* 600.0$',
+            'holds a single image; .*invalid page offset', 'is not a FITS file.*Unparsable card'),
+            strict=True):
+        assert re.search(f'{path.name} {words}', line), line
+    assert done.stderr == ''

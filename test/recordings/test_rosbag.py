@@ -1,6 +1,8 @@
 import io
 from pathlib import Path
+import struct
 import tempfile
+import zlib
 
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -197,8 +199,46 @@ def test_a_bag_of_compressed_images_alone_is_read(tmp_path):
 def test_compressed_image_that_is_none_is_refused(tmp_path):
     message = TYPES[COMPRESSED](image(FRAMES[0], 0).header, 'h264', np.zeros(9, np.uint8))
     write_bag(tmp_path / 'bag', {'/video': (COMPRESSED, [(1, message)])})
-    with pytest.raises(DataError, match='message 0 of .*: its h264 cannot be read: cannot'):
+    with pytest.raises(DataError, match='message 0 of .*: its h264 cannot be read: it is no PNG'):
         open_recording(tmp_path / 'bag')
+
+
+def chunks_in(data):
+    """Return offset and length of each chunk of an MCAP file, behind the head of its record."""
+    places, offset = [], 8
+    while offset + 9 <= len(data):
+        kind, length = struct.unpack_from('<BQ', data, offset)
+        if kind == 6:
+            places.append((offset + 9, length))
+        offset += 9 + length
+    return places
+
+
+@pytest.mark.parametrize('damaged', [[0], [1], [2], [0, 2]])
+@pytest.mark.parametrize('single_file', [False, True])
+def test_damaged_chunks_are_left_out_and_counted(tmp_path, damaged, single_file):
+    frames = np.random.default_rng(4).integers(0, 65535, (6, 512, 600)).astype(np.uint16)
+    path = tmp_path / 'bag'
+    write_bag(path, {'/image': (IMAGE, images(frames))}, StoragePlugin.MCAP)
+    [file] = path.glob('*.mcap')
+    data = bytearray(file.read_bytes())
+    chunks = chunks_in(data)
+    assert len(chunks) == 3
+    for number, (offset, length) in enumerate(chunks):
+        messages = offset + 40
+        assert struct.unpack_from('<I', data, offset + 28) == (0,)
+        struct.pack_into('<I', data, offset + 24, zlib.crc32(data[messages:offset + length]))
+        if number in damaged:
+            data[messages + 200_000] ^= 16
+    file.write_bytes(data)
+    kept = [k for k in range(6) if k // 2 not in damaged]
+    with open_recording(file if single_file else path) as recording:
+        np.testing.assert_array_equal(all_frames(recording), frames[kept])
+        np.testing.assert_array_equal(recording[1], frames[kept[1]])
+        np.testing.assert_allclose(recording.stamps, 1 + 0.04 * np.array(kept), atol=1e-9)
+        [remark] = recording.remarks
+    assert f'{6 - len(kept)} of 6 messages of' in remark
+    assert f'left out: {len(damaged)} of its chunks are damaged' in remark
 
 
 def write_ros1_bag(path, frames):

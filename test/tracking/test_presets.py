@@ -127,3 +127,18 @@ def test_unknown_names_are_refused_with_the_nearest():
         choose_options('eoir_statik', {}, NO_FRAMES)
     with pytest.raises(ParameterError, match='background'):
         choose_options(AUTO, {'backgroud': 'none'}, unit_noise(1))
+
+
+@pytest.mark.parametrize('kind', [np.uint8, np.uint16, np.int16, np.int64, np.float64])
+def test_whole_numbers_and_doubles_of_any_size_are_looked_at(kind):
+    scene = 120 + 20 * np.random.default_rng(0).standard_normal((6, 24, 32))
+    options, _ = choose_options('auto', {}, scene.astype(kind))
+    assert options.background == 'either'
+
+
+@pytest.mark.parametrize('value', [1e38, -3e38])
+def test_a_frame_of_garbage_changes_no_choice(value, recwarn):
+    scene = 1000 + 50 * np.random.default_rng(0).standard_normal((12, 24, 32)).astype(np.float32)
+    spoilt = np.insert(scene, 5, value, axis=0)
+    assert choose_options('auto', {}, spoilt) == choose_options('auto', {}, scene)
+    assert not recwarn

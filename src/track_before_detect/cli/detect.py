@@ -194,10 +194,12 @@ def search(recording: Recording, preset: str, told: Mapping[str, Any],
         raise DataError(
             f'{recording.name} must hold at least 2 frames to show a motion, got 1')
     # Compiled loops take a second to load; errors of the input need not wait for them.
-    from track_before_detect.tracking.batcher import length_of
+    from track_before_detect.tracking.batcher import check_batch_size, length_of
     from track_before_detect.tracking.presets import choose_for
     from track_before_detect.tracking.recording import detect_recording
 
+    check_batch_size(recording.name, recording.shape, len(recording),
+                     DetectorOptions.from_mapping(told).batch_length)
     options, reasons = choose_for(recording, preset, told)
     for reason in reasons:
         print(f'preset {preset}: {reason}', file=sys.stderr)
@@ -248,6 +250,9 @@ def _read_config(path: Path) -> dict[str, Any]:
         raise DataError(f'--config {path} cannot be read: {error.strerror}') from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise DataError(f'--config {path} is not YAML: {error}') from error
+    except RecursionError as error:
+        raise DataError(f'--config {path} is not YAML with options: too many brackets within one '
+                        'another') from error
     if content is None:
         return {}
     if not isinstance(content, Mapping):

@@ -36,6 +36,8 @@ _QUANTISED_FLOOR = 0.3  # of a grey level: rounding alone adds 1/sqrt(12)
 
 # Single precision has 24 bits.
 MOST_OVER_NOISE = 1e8
+# Beyond this the sum of the squares of a frame is infinite in single precision.
+MOST_VALUE = 1e15
 
 _LEAST_FRAMES = 3  # that tell what stands still from what moves
 _LEAST_MESH_PX = 12  # cells this small follow the shading of a lens under a panning camera
@@ -122,7 +124,7 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float,
         New arrays; where a step is not asked for, its part of the input is passed on. All frames
         are NaN where too few of them turn out to be pictures.
     """
-    prepared = _in_single_precision(batch)
+    prepared = _without_garbage(_in_single_precision(batch), MOST_VALUE, '')
     _check_options(options, prepared)
     if options.mask is not None:
         prepared = _masked(prepared, masked_pixels(options.mask, batch))
@@ -160,6 +162,7 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float,
         prepared = replace(
             prepared, maps=geometry.translations(np.zeros((len(prepared), 2))),
             scene=_credible(prepared.registration))
+    prepared = _without_garbage(prepared, MOST_OVER_NOISE, ' times their noise')
     _check_size(prepared.frames)
     return prepared
 
@@ -389,17 +392,39 @@ def _shifted_whole(frames: NDArray, maps: NDArray) -> NDArray:
                      for frame, offset in zip(frames, maps[:, :2, 2].astype(int), strict=True)])
 
 
+def _without_garbage(prepared: PreparedBatch, most: float, unit: str) -> PreparedBatch:
+    """Return a batch in which frames are masked that hold pixels beyond any, where few do."""
+    found = frames_beyond(prepared.frames, most)
+    if not 0 < 2 * found.sum() < _n_shown(prepared):
+        return prepared
+    value, t, place = _largest(prepared.frames)
+    return _with_remark(
+        _masked(prepared, found[:, None, None]), 'garbage values',
+        f'{{frames}} masked: pixels must be at most {most:g}{unit}, got {value:g}{unit} in frame '
+        f'{prepared.frame_indices[t]} at {place}', found)
+
+
 def _check_size(frames: NDArray) -> None:
     """Refuse pixels beside whose rounding the noise would not be seen."""
-    parts = _real_parts(frames)
-    for sign in (1, -1):
-        if np.any(sign * parts > MOST_OVER_NOISE):
-            size = np.abs(np.nan_to_num(frames, nan=0.0))
-            t, y, x = np.unravel_index(int(np.argmax(size)), size.shape)
-            raise DataError(
-                f'pixels must be at most {MOST_OVER_NOISE:g} times their noise, got '
-                f'{size[t, y, x]:g} times in frame {t} of a batch at x = {x}, y = {y}: scale the '
-                'frames, set noise=robust, or mask pixels that hold no data')
+    if frames_beyond(frames, MOST_OVER_NOISE).any():
+        value, t, place = _largest(frames)
+        raise DataError(
+            f'pixels must be at most {MOST_OVER_NOISE:g} times their noise, got {value:g} times '
+            f'in frame {t} of a batch at {place}: scale the frames, set noise=robust, or mask '
+            'pixels that hold no data')
+
+
+def frames_beyond(frames: NDArray, most: float = MOST_VALUE) -> NDArray[np.bool_]:
+    """Return the frames (T,) with a pixel beyond a bound of either sign."""
+    parts = frames.view(frames.real.dtype) if np.iscomplexobj(frames) else frames
+    return np.any((parts > most) | (parts < -most), axis=(1, 2))
+
+
+def _largest(frames: NDArray) -> tuple[float, int, str]:
+    """Return the largest modulus of all pixels, in which frame it is, and where."""
+    size = np.abs(np.nan_to_num(frames, nan=0.0))
+    t, y, x = np.unravel_index(int(np.argmax(size)), size.shape)
+    return float(size[t, y, x]), int(t), f'x = {x}, y = {y}'
 
 
 def _real_parts(frames: NDArray) -> NDArray[np.float32]:

@@ -27,12 +27,11 @@ _ENCODINGS: dict[str, tuple[str, int, tuple[int, ...] | None]] = {
     'uyvy': ('u1', 2, (1,)),
     'yuv422_yuy2': ('u1', 2, (0,)),
     'yuyv': ('u1', 2, (0,)),
-    'rgb8': ('u1', 3, (0, 1, 2)),
-    'bgr8': ('u1', 3, (2, 1, 0)),
+    **{f'{colours}{8 * size}': (f'u{size}', len(colours), tuple(map(colours.index, 'rgb')))
+       for colours in ('rgb', 'bgr', 'rgba', 'bgra') for size in (1, 2)},
     # Without names the channels are in the order of OpenCV.
-    '8UC3': ('u1', 3, (2, 1, 0)),
-    'rgba8': ('u1', 4, (0, 1, 2)),
-    'bgra8': ('u1', 4, (2, 1, 0)),
+    **{f'{8 * size}UC{channels}': (f'u{size}', channels, (2, 1, 0))
+       for channels in (3, 4) for size in (1, 2)},
     **{f'bayer_{filters}{8 * size}': (f'u{size}', 1, None)
        for filters in ('rggb', 'bggr', 'gbrg', 'grbg') for size in (1, 2)},
 }

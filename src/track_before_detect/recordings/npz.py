@@ -22,6 +22,8 @@ from track_before_detect.recordings.recording import MappedSource, Recording
 _READ_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, SyntaxError,
                 NotImplementedError, RuntimeError)
 _SKIP_BYTES = 2**20
+# Of stamps or truth: zeros without end pack to next to nothing.
+_MOST_VALUES = 10**7
 
 
 def open_npz(path: Path) -> Recording:
@@ -76,23 +78,27 @@ def _recording(path: Path, archive: zipfile.ZipFile, names: set[str],
     n_frames, height, width = source.shape
     stamps = None
     if 'stamps' in names:
-        stamps = _small_array(path, archive, 'stamps')
+        stamps = _whole_array(path, archive, 'stamps')
     elif 'fps' in names:
-        fps = _small_array(path, archive, 'fps')
+        fps = _whole_array(path, archive, 'fps')
         if fps.size != 1 or fps.dtype.kind not in 'iuf' or not 0 < float(fps.item()) < np.inf:
             raise DataError(f"'fps' of {path} must be one positive number, got {fps!r}")
         with np.errstate(over='ignore'):
             stamps = np.arange(n_frames) / float(fps.item())
-    truth = _small_array(path, archive, 'truth') if 'truth' in names else None
+    truth = _whole_array(path, archive, 'truth') if 'truth' in names else None
     return Recording(path.name, (height, width), source.dtype, n_frames, source, stamps, truth)
 
 
-def _small_array(path: Path, archive: zipfile.ZipFile, name: str) -> NDArray:
-    """Return a whole array of the archive."""
+def _whole_array(path: Path, archive: zipfile.ZipFile, name: str,
+                 most_values: float = _MOST_VALUES) -> NDArray:
+    """Return a whole array of the archive, if it holds no more than it may."""
     with (read_errors(f'array {name!r} of {path} cannot be read', _READ_ERRORS),
           archive.open(f'{name}.npy') as file):
         shape, _, dtype = _read_header(file)
         _check_size(path, archive, name, shape, dtype, file.tell())
+        if math.prod(shape) > most_values:
+            raise DataError(f'array {name!r} of {path} must hold at most {most_values} values, '
+                            f'got shape {shape}')
         file.seek(0)
         return np.lib.format.read_array(file, allow_pickle=False)
 
@@ -113,13 +119,14 @@ class _NpzSource:
         _check_layout(f"array 'frames' of {path}", self.shape, self.dtype)
         _check_size(path, self._archive, 'frames', self.shape, self.dtype, self._member.tell())
         self._next = 0
+        self._is_scattered = fortran_order
         self._whole: NDArray | None = None
-        if fortran_order:
-            # Here a frame is scattered over the whole file.
-            self._whole = _small_array(path, self._archive, 'frames')
 
     def read(self, index: int) -> NDArray:
-        if self._whole is not None:
+        if self._is_scattered:
+            # A frame lies all over the file, which is read when the first is asked for.
+            if self._whole is None:
+                self._whole = _whole_array(self._path, self._archive, 'frames', math.inf)
             return np.array(self._whole[index], order='C')
         n_bytes = self.shape[1] * self.shape[2] * self.dtype.itemsize
         with read_errors(f'frame {index} of {self._path} cannot be read', _READ_ERRORS):

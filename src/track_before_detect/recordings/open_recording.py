@@ -14,7 +14,7 @@ from track_before_detect.recordings.images import (
 from track_before_detect.recordings.npz import open_npy, open_npz
 from track_before_detect.recordings.pictures.fits import is_fits, open_fits
 from track_before_detect.recordings.pictures.tiff import open_tiff, TIFF_SUFFIXES
-from track_before_detect.recordings.read_errors import closed_on_error
+from track_before_detect.recordings.read_errors import closed_on_error, gathered_warnings
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.recordings.rosbag import (
     BAG_SUFFIXES,
@@ -55,7 +55,15 @@ def open_recording(path: str | os.PathLike, topic: str | None = None,
     MissingExtraError
         When the package that reads this kind is not installed.
     """
-    recording = _opened(Path(path), topic)
+    with gathered_warnings() as odd:
+        try:
+            recording = _opened(Path(path), topic)
+        except DataError as error:
+            if not odd:
+                raise
+            raise DataError(f'{error} ({odd[0]})') from error
+    if odd:
+        recording.remarks.append(f'{recording.name} is damaged or unusual: {odd[0]}')
     if fps is not None:
         with closed_on_error(recording):
             recording.set_rate(fps)

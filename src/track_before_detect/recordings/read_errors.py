@@ -1,8 +1,10 @@
-"""What libraries raise about damaged files becomes one sentence, and nothing stays open."""
+"""What libraries raise or say about damaged files becomes one sentence, nothing stays open."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 import importlib
+import logging
+import re
 import struct
 from types import ModuleType
 from typing import Protocol
@@ -13,6 +15,10 @@ from track_before_detect.errors import DataError, MissingExtraError
 # What damaged files raise in the image libraries.
 IMAGE_ERRORS = (OSError, EOFError, ValueError, TypeError, IndexError, KeyError, SyntaxError,
                 RuntimeError, struct.error, zlib.error)
+
+_PACKAGE = 'track_before_detect'
+# What Python puts before the words of a warning: file, line and class.
+_BEFORE_WARNING = re.compile(r'.*?([^/\\\s]+)\.py:\d+: (\w+): ')
 
 
 class Closable(Protocol):
@@ -40,11 +46,53 @@ def read_errors(message: str, errors: tuple[type[Exception], ...]) -> Iterator[N
 def reader_module(module: str, package: str, what: str) -> ModuleType:
     """Return the module of an optional package that reads something."""
     try:
-        return importlib.import_module(module)
+        imported = importlib.import_module(module)
     except ImportError as error:
         raise MissingExtraError(
             f"reading {what} needs {package}: pip install 'track_before_detect[readers]'"
         ) from error
+    # Some log what they find odd in a file straight to the terminal.
+    logging.getLogger(module.partition('.')[0]).addFilter(_GATHERING)
+    return imported
+
+
+def said_by_library(record: logging.LogRecord) -> str:
+    """Return what was logged, or warned of, as one line that names who says it."""
+    words = ' '.join(record.getMessage().split('\n  ')[0].split())
+    warned = _BEFORE_WARNING.match(words)
+    if record.name == 'py.warnings' and warned is not None:
+        return f'{words[warned.end():]} ({warned[2]} of {warned[1]})'
+    library = record.name.partition('.')[0]
+    return words if library == _PACKAGE else f'{words} (says {library})'
+
+
+class _Gathering(logging.Filter):
+    """Keeps warnings from their way while somebody gathers them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.gatherers: list[list[str]] = []
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Return whether a record goes on its way."""
+        if record.levelno < logging.WARNING or not self.gatherers:
+            return True
+        self.gatherers[-1].append(' '.join(record.getMessage().split()))
+        return False
+
+
+_GATHERING = _Gathering()
+
+
+@contextmanager
+def gathered_warnings() -> Iterator[list[str]]:
+    """Yield what the libraries that read files say of them meanwhile, which nobody else hears."""
+    words: list[str] = []
+    _GATHERING.gatherers.append(words)
+    try:
+        yield words
+    finally:
+        _GATHERING.gatherers.remove(words)
 
 
 @contextmanager

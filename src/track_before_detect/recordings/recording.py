@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+import logging
 from typing import Protocol
 
 import numpy as np
@@ -10,8 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.checks import checked_number
 from track_before_detect.errors import DataError
-from track_before_detect.recordings.read_errors import Closable
+from track_before_detect.recordings.read_errors import Closable, gathered_warnings
 from track_before_detect.timestamps import in_seconds
+
+_LOG = logging.getLogger(__name__)
 
 # Frames kept for the overlap of successive batches; 20 frames of 1024 x 1024 float32 fit.
 CACHE_BYTES = 128 * 2**20
@@ -79,6 +82,8 @@ class Recording:
         self.truth = None if truth is None else _checked_truth(name, truth)
         self.frame_id = frame_id
         self._source = source
+        # Whether that was said; other frames of the file will be alike.
+        self._is_odd = False
         self._cache: OrderedDict[int, NDArray] = OrderedDict()
         self._cache_length = max(2, CACHE_BYTES // (shape[0] * shape[1] * dtype.itemsize))
 
@@ -102,7 +107,11 @@ class Recording:
             raise IndexError(f'{self.name} has frames 0 to {len(self) - 1}, asked for {index}')
         if position in self._cache:
             return self._cache[position]
-        frame = np.asarray(self._source.read(position))
+        with gathered_warnings() as odd:
+            frame = np.asarray(self._source.read(position))
+        if odd and not self._is_odd:
+            self._is_odd = True
+            _LOG.warning('frame %d of %s is damaged or unusual: %s', position, self.name, odd[0])
         check_like(f'frame {position} of {self.name}', frame, self.shape, self.dtype)
         frame = frame.astype(self.dtype, copy=False)
         frame.flags.writeable = False

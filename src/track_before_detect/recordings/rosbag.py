@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, MissingExtraError
 from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
-from track_before_detect.recordings.pictures.pillow import decode_pillow_image
+from track_before_detect.recordings.mcap_chunks import damaged_spans
+from track_before_detect.recordings.pictures.pillow import decode_compressed_image
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import Recording
 
@@ -107,15 +108,41 @@ class _BagSource:
         self._connections = connections
         self._deserialize = deserialize
         self._received: list[int] = []
+        # From when to when messages are read, all unless chunks are damaged.
+        self._spans: list[tuple[int | None, int | None]] = [(None, None)]
         self._messages: Iterator[tuple[Any, int, bytes]] = iter(())
         self._next = -1
         self._closed = False
 
     def scan(self) -> Recording:
         """Read all messages once for their stamps, and return the recording."""
-        header_stamps = []
-        frame_id = ''
-        first = None
+        try:
+            header_stamps, frame_id, first = self._first_pass()
+        except DataError:
+            if not self._leave_out_damaged():
+                raise
+            header_stamps, frame_id, first = self._first_pass()
+        name = self._path.resolve().name
+        if first is None:
+            raise DataError(f'topic {self._connections[0].topic} of {name} has no messages')
+        stamps = 1e-9 * np.array(self._received, np.float64)
+        if len(header_stamps) == len(stamps) and any(header_stamps):
+            stamps = np.array(header_stamps)
+        self._messages = iter(())
+        self._next = -1
+        recording = Recording(name, first.shape, first.dtype, len(stamps), self, stamps,
+                              frame_id=frame_id)
+        n_messages = sum(connection.msgcount for connection in self._connections)
+        if len(stamps) < n_messages:
+            recording.remarks.append(
+                f'{n_messages - len(stamps)} of {n_messages} messages of {name} cannot be read '
+                f'and are left out: {len(self._spans) - 1} of its chunks are damaged')
+        return recording
+
+    def _first_pass(self) -> tuple[list[float], str, NDArray | None]:
+        """Return the stamps of all headers, the first name of a frame, and the first frame."""
+        self._received = []
+        header_stamps, frame_id, first = [], '', None
         self._start(0)
         for index, (received, message) in enumerate(self._iterate()):
             self._received.append(received)
@@ -125,16 +152,21 @@ class _BagSource:
                 frame_id = frame_id or header.frame_id
             if first is None:
                 first = self._decode(index, message)
-        name = self._path.resolve().name
-        if first is None:
-            raise DataError(f'topic {self._connections[0].topic} of {name} has no messages')
-        stamps = 1e-9 * np.array(self._received, np.float64)
-        if len(header_stamps) == len(stamps) and any(header_stamps):
-            stamps = np.array(header_stamps)
-        self._messages = iter(())
-        self._next = -1
-        return Recording(name, first.shape, first.dtype, len(stamps), self, stamps,
-                         frame_id=frame_id)
+        return header_stamps, frame_id, first
+
+    def _leave_out_damaged(self) -> bool:
+        """Pass over the chunks whose checksum fails from now on; return whether there are any."""
+        damaged = damaged_spans(self._path) if self._path.suffix != ROS1_SUFFIX else []
+        self._spans = list(zip([None, *(last + 1 for _, last in damaged)],
+                               [*(first for first, _ in damaged), None], strict=True))
+        return bool(damaged)
+
+    def _all_from(self, time: int | None) -> Iterator[tuple[Any, int, bytes]]:
+        """Yield the messages received from a time on, without those of damaged chunks."""
+        for start, stop in self._spans:
+            begin = max((t for t in (start, time) if t is not None), default=None)
+            if stop is None or begin is None or begin < stop:
+                yield from self._reader.messages(self._connections, start=begin, stop=stop)
 
     def read(self, index: int) -> NDArray:
         if index != self._next:
@@ -147,10 +179,10 @@ class _BagSource:
     def _start(self, index: int) -> None:
         """Let the next message be number ``index``."""
         if not self._received:
-            self._messages = self._reader.messages(self._connections)
+            self._messages = self._all_from(None)
             return
         time = self._received[index]
-        self._messages = self._reader.messages(self._connections, start=time)
+        self._messages = self._all_from(time)
         # Several messages may have been received at the same time.
         for _ in range(index - self._received.index(time)):
             next(self._messages)
@@ -171,7 +203,7 @@ class _BagSource:
                 return decode_image(message.data, message.encoding, message.height,
                                     message.width, message.step, message.is_bigendian)
             if hasattr(message, 'format'):
-                return decode_pillow_image(bytes(message.data), f'its {message.format or "image"}')
+                return decode_compressed_image(bytes(message.data), message.format)
             layout = message.layout
             return multiarray_to_frame(message.data, [dim.size for dim in layout.dim],
                                        [dim.stride for dim in layout.dim], layout.data_offset)

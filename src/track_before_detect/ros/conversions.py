@@ -67,12 +67,23 @@ def frame_from_image(message: Image) -> NDArray:
                         message.step, message.is_bigendian)
 
 
-def frame_from_multiarray(message: Float32MultiArray) -> NDArray:
-    """Return the frame in a multi-array whose layout names rows and columns, shape (H, W)."""
-    dimensions = message.layout.dim
+def frame_from_multiarray(message: Float32MultiArray,
+                          shape: tuple[int, int] | None = None) -> NDArray:
+    """Return the frame in a multi-array, shape (H, W): that of its layout, or the one told.
+
+    Parameters
+    ----------
+    message : Float32MultiArray
+        The layout names rows and columns, or nothing.
+    shape : tuple of int, optional
+        Height and width where the layout names nothing.
+    """
+    sizes = [dim.size for dim in message.layout.dim]
+    strides = [dim.stride for dim in message.layout.dim]
+    if not sizes and shape is not None:
+        sizes, strides = list(shape), [0, 0]
     return multiarray_to_frame(
-        np.frombuffer(message.data, np.float32), [dim.size for dim in dimensions],
-        [dim.stride for dim in dimensions], message.layout.data_offset)
+        np.frombuffer(message.data, np.float32), sizes, strides, message.layout.data_offset)
 
 
 def sendable(frame: NDArray) -> NDArray:

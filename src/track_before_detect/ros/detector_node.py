@@ -1,21 +1,22 @@
 """Node ``detector``: frames in, trajectories out.
 
-Topics (relative): in ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Float32MultiArray); out
-``trajectories/markers``, ``trajectories/path``, ``trajectories/points``, ``overlay``,
-``/diagnostics`` and, where their packages are installed, those of :class:`FieldOutputs`. Service
-``~/flush`` (std_srvs/Trigger) has the frames that were in no batch yet searched at once. The node
-is managed: it searches while it is active, see docs/nodes/detector.md.
+Topics (relative): in ``image`` (sensor_msgs/Image) or ``image/compressed``, and ``frame``
+(std_msgs/Float32MultiArray); out ``trajectories/markers``, ``trajectories/path``,
+``trajectories/points``, ``overlay``, ``/diagnostics`` and, where their packages are installed,
+those of :class:`FieldOutputs`. Service ``~/flush`` (std_srvs/Trigger) has the frames that were in
+no batch yet searched at once. The node is managed: it searches while it is active, see
+docs/nodes/detector.md.
 """
 
 from collections.abc import Callable, Mapping, Set
 from copy import copy
+from functools import partial
 import threading
 import time
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
-from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import (
     PublisherEventCallbacks,
@@ -35,7 +36,7 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import _declare_qos_parameters, QoSOverridingOptions
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import CompressedImage, Image, PointCloud2
 from std_msgs.msg import Float32MultiArray, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
@@ -50,6 +51,18 @@ from track_before_detect.ros.diagnostics import (
     Warnings,
 )
 from track_before_detect.ros.frame_queue import StreamRequest
+from track_before_detect.ros.intake.frame_reader import (
+    ARRIVAL,
+    COMPRESSED,
+    FrameReader,
+    HEADER,
+    larger_segment_words,
+    RAW,
+    StampedFrame,
+    STEADY,
+)
+from track_before_detect.ros.intake.neighbours import neighbour_warnings, senders
+from track_before_detect.ros.logs.library_log import LibraryLog
 from track_before_detect.ros.logs.throttled import ThrottledLog
 from track_before_detect.ros.managed_node import (
     ACTIVE,
@@ -81,7 +94,6 @@ STOP_TIMEOUT_S = 1.0
 
 RCLError, InvalidHandle = rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle
 
-INPUTS = {'image': Image, 'frame': Float32MultiArray}
 PARAMETERS = [
     NodeParameter(
         'preset', AUTO, 'Where the options come from that are not given: auto looks at the first '
@@ -113,6 +125,14 @@ PARAMETERS = [
         'frame_rate_hz', 0.0, 'Frames per second; see frame_height.', 'number', unit='Hz',
         minimum=0.0, optional=True),
     NodeParameter(
+        'stamp_source', HEADER, 'Where the stamps of frames come from: their header, their '
+        'arrival by the clock of the node, or by a steady one that starts at the time of day and '
+        'never jumps or stands still. Frames without header (topic frame) are stamped on arrival '
+        'in any case.', 'text', choices=(HEADER, ARRIVAL, STEADY)),
+    NodeParameter(
+        'image_transport', RAW, 'Whether images come as they are, or as PNG or JPEG on the topic '
+        'of the images with /compressed behind it.', 'text', choices=(RAW, COMPRESSED)),
+    NodeParameter(
         'reliable', False, 'Whether to ask for lost frames to be sent again; a best-effort '
         'publisher is then not heard.', 'boolean'),
     *SCALE_PARAMETERS,
@@ -141,6 +161,7 @@ class DetectorNode(ManagedNode):
         self._last_header = Header()
         self._warnings = Warnings()
         self._reception = Reception()
+        self._library_log = LibraryLog(self._warn)
         self._log_state, self._log_change, self._log_choice = (
             ThrottledLog(lambda line: self.get_logger().info(line)) for _ in range(3))
         self._logged_state = ('', ''), 0.0
@@ -149,6 +170,7 @@ class DetectorNode(ManagedNode):
         self._inputs: list[Subscription] = []
         self._worker = self._make_worker()
         self._create_outputs()
+        self._sources = self._frame_sources()
         self._declare_inputs()
         self.finish_parameters()
         self._field_outputs = FieldOutputs(self._create_output, self.values())
@@ -208,6 +230,7 @@ class DetectorNode(ManagedNode):
         self._active, self._ending = False, True
         self._worker.stop(STOP_TIMEOUT_S)
         self.wait_for_start(STOP_TIMEOUT_S)
+        self._library_log.close()
         super().destroy_node()
 
     def check_values(self, values: Mapping[str, Any], told: Set[str]) -> None:
@@ -260,23 +283,35 @@ class DetectorNode(ManagedNode):
 
         Subscribing for a moment would tell publishers that somebody listens.
         """
-        for topic in INPUTS:
+        for topic, *_ in self._sources:
             with self.overridable_qos():
                 _declare_qos_parameters(
                     Subscription, self, self.resolve_topic_name(topic), self._input_qos(),
                     QoSOverridingOptions.with_default_policies())
 
     def _create_inputs(self) -> None:
-        callbacks = {'image': self._take_image, 'frame': self._take_multiarray}
-        for topic, kind in INPUTS.items():
+        for topic, kind, read in self._sources:
             self._inputs.append(self.create_subscription(
-                kind, topic, callbacks[topic], self._input_qos(),
+                kind, topic, partial(self._take, read), self._input_qos(),
                 event_callbacks=self._event_callbacks(topic),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies()))
 
     def _create_output(self, kind: type, topic: str) -> Publisher:
         return self.create_lifecycle_publisher(
             kind, topic, OUTPUT_DEPTH, event_callbacks=self._output_events(topic))
+
+    def _frame_sources(self) -> list[tuple[str, type, Callable[[Any], StampedFrame]]]:
+        """Return the topics of frames, the type of each, and what reads a message of it."""
+        values = self.values()
+        reader = FrameReader(
+            values['stamp_source'], (values['frame_height'], values['frame_width']),
+            self.get_clock(), self._warn)
+        arrays = ('frame', Float32MultiArray, reader.multiarray)
+        if values['image_transport'] == COMPRESSED:
+            # Beside the topic of the images wherever that is remapped to, as its senders have it.
+            return [(f'{self.resolve_topic_name("image")}/compressed', CompressedImage,
+                     reader.compressed_image), arrays]
+        return [('image', Image, reader.image), arrays]
 
     def _create_outputs(self) -> None:
         self._markers = self._create_output(MarkerArray, 'trajectories/markers')
@@ -302,7 +337,8 @@ class DetectorNode(ManagedNode):
 
         def lost(event: QoSMessageLostInfo) -> None:
             self._reception.n_lost += event.total_count_change
-            self._warn(f'lost {topic}', f'{event.total_count} messages on {topic!r} were lost')
+            self._warn(f'lost {topic}', (f'{event.total_count} messages on {topic!r} were lost'
+                                          f'{larger_segment_words()}'))
 
         return SubscriptionEventCallbacks(
             incompatible_qos=incompatible, message_lost=lost, use_default_callbacks=False)
@@ -320,25 +356,18 @@ class DetectorNode(ManagedNode):
 
         return PublisherEventCallbacks(incompatible_qos=incompatible, use_default_callbacks=False)
 
-    def _take_image(self, message: Image) -> None:
-        self._take(lambda: conversions.frame_from_image(message), message.header)
-
-    def _take_multiarray(self, message: Float32MultiArray) -> None:
-        header = Header(stamp=self.get_clock().now().to_msg())
-        self._take(lambda: conversions.frame_from_multiarray(message), header)
-
-    def _take(self, convert: Callable[[], NDArray], header: Header) -> None:
+    def _take(self, read: Callable[[Any], StampedFrame], message: Any) -> None:
+        queue = self._worker.queue
         if not self._active:
-            self._worker.queue.drop_message()
+            queue.drop_message()
             return
         try:
-            pixels = convert()
+            frame = read(message)
         except TbdError as error:
-            self._worker.queue.refuse_message()
+            queue.refuse_message()
             self._warn('message', f'message refused: {error}')
             return
-        queue = self._worker.queue
-        if queue.put(pixels, conversions.seconds_from_time(header.stamp), header):
+        if queue.put(frame.pixels, frame.stamp_s, frame.header):
             busy = ('searching cannot keep up' if self._worker.status.state == 'ready' else
                     f'frames come while the search is made ready ({self._worker.status.state})')
             self._warn('dropped', (
@@ -432,6 +461,10 @@ class DetectorNode(ManagedNode):
 
     def _look_around(self) -> None:
         """Warn of what is wrong around the node, log what was held back, say how it is."""
+        topics = [topic for topic, *_ in self._sources]
+        self._reception.n_senders = len(senders(self, topics))
+        for kind, text in neighbour_warnings(self, topics).items():
+            self._warn(kind, text)
         if (self.get_parameter('use_sim_time').value and not self.get_clock().now().nanoseconds
                 and time.monotonic() - self._began_s > CLOCK_TIMEOUT_S):
             self._warn('clock', 'use_sim_time is set, but no time came on /clock: is the bag '

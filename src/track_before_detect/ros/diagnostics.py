@@ -46,8 +46,9 @@ class Warnings:
 
 @dataclass
 class Reception:
-    """What the middleware did not deliver."""
+    """Who sends, and what the middleware did not deliver."""
 
+    n_senders: int = 0
     n_lost: int = 0
     n_incompatible: int = 0
 
@@ -106,6 +107,7 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
         'frames_waiting': n_waiting,
         'frames_dropped': counters.dropped,
         'frames_refused': counters.refused,
+        'publishers': reception.n_senders,
         'messages_lost': reception.n_lost,
         'incompatible_publishers': reception.n_incompatible,
         'window_restarts': counters.restarts,

@@ -16,8 +16,10 @@ from rcl_interfaces.msg import (
     ParameterDescriptor,
     SetParametersResult,
 )
+from rcl_interfaces.srv import SetParameters
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.parameter_service import ParameterService
 from rclpy.qos_overriding_options import InvalidQosOverridesError
 
 from track_before_detect.checks import checked_number
@@ -158,6 +160,24 @@ def option_values(parameters: Iterable[NodeParameter], values: Mapping[str, Any]
     return {name: getattr(checked, name) for name in options}
 
 
+class _TogetherService(ParameterService):
+    """Sets the parameters of a call, such as those of a file, as one change.
+
+    The service of rclpy sets one after the other: the order would decide whether values that go
+    together are refused.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._set = node.set_parameters
+        super().__init__(node)
+
+    def _set_parameters_callback(self, request: SetParameters.Request,
+                                 response: SetParameters.Response) -> SetParameters.Response:
+        response.results = self._set(
+            [Parameter.from_parameter_msg(parameter) for parameter in request.parameters])
+        return response
+
+
 class ParameterizedNode(Node):
     """Node whose parameters are declared from a table.
 
@@ -178,7 +198,8 @@ class ParameterizedNode(Node):
 
     def __init__(self, name: str, parameters: list[NodeParameter], **settings: Any):
         # Not super(): beside it a managed node has another base class, started on its own.
-        Node.__init__(self, name, **settings)
+        Node.__init__(self, name, start_parameter_services=False, **settings)
+        self._parameter_services = _TogetherService(self)
         self._table = {parameter.name: parameter for parameter in parameters}
         # Names of the parameters that were given a value, be it the default.
         self._told = self._table.keys() & self._parameter_overrides.keys()
@@ -226,26 +247,40 @@ class ParameterizedNode(Node):
             raise ParameterError(str(error)) from error
 
     def set_parameters(self, parameter_list: list[Parameter]) -> list[SetParametersResult]:
-        """Set parameters one by one; see :meth:`set_parameters_atomically`."""
-        return [self.set_parameters_atomically([parameter]) for parameter in parameter_list]
+        """Set parameters together if they can be, else each that can; one change either way."""
+        whole, changed = self._set(parameter_list)
+        results = [whole] * len(parameter_list)
+        if not whole.successful:
+            each = [self._set([parameter]) for parameter in parameter_list]
+            results = [result for result, _ in each]
+            changed = [name for _, names in each for name in names]
+        if changed:
+            self.on_change(changed)
+        return results
 
     def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
         """Set parameters, refusing what cannot be used with a sentence that says why."""
+        result, changed = self._set(parameter_list)
+        if changed:
+            self.on_change(changed)
+        return result
+
+    def _set(self, parameter_list: list[Parameter]) -> tuple[SetParametersResult, list[str]]:
+        """Set parameters all or none; return the answer, and the names of those that changed."""
         before = self.values()
         try:
             checked = self._checked_changes(parameter_list)
         except ParameterError as error:
-            return SetParametersResult(successful=False, reason=str(error))
+            return SetParametersResult(successful=False, reason=str(error)), []
         result = super().set_parameters_atomically(checked)
+        if not result.successful:
+            return result, []
         names = [parameter.name for parameter in checked if parameter.name in self._table]
-        if result.successful:
-            # One that is told its value for the first time no longer goes by the preset.
-            changed = [name for name in names
-                       if name not in self._told or self.values()[name] != before[name]]
-            self._told |= set(names)
-            if changed:
-                self.on_change(changed)
-        return result
+        # One that is told its value for the first time no longer goes by the preset.
+        changed = [name for name in names
+                   if name not in self._told or self.values()[name] != before[name]]
+        self._told |= set(names)
+        return result, changed
 
     def _checked_changes(self, parameter_list: list[Parameter]) -> list[Parameter]:
         values = self.values()

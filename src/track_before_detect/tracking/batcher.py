@@ -7,13 +7,16 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.types import FrameBatch
 
 # Frames stamped on arrival may come in bunches at the start; less than this is no gap then.
 SHORTEST_FIRST_GAP_S = 1.0
 # Frames of a batch where nothing is said of them, and the most that are one batch all the same.
 DEFAULT_LENGTH, MOST_IN_ONE = 20, 40
+# Of frames searched together, in single precision: for each the smallest table of a search takes
+# as much, and the most that one may take is solvers/search/affordable.MOST_TABLE_BYTES.
+MOST_BATCH_BYTES = 2 * 2**30
 
 
 def hop_of(length: int) -> int:
@@ -27,6 +30,30 @@ def hop_of(length: int) -> int:
 def length_of(n_frames: int) -> int | None:
     """Return the length of the batches of a recording, None where it is one batch."""
     return DEFAULT_LENGTH if n_frames > MOST_IN_ONE else None
+
+
+def check_batch_size(name: str, shape: tuple[int, int], n_frames: int,
+                     batch_length: int | None) -> None:
+    """Refuse frames (H, W) of which a batch could not be searched, before any is read.
+
+    Parameters
+    ----------
+    name : str
+        Of the recording.
+    shape : tuple of int
+        Height and width.
+    n_frames : int
+        Of the recording.
+    batch_length : int or None
+        As told; None where it is left to be chosen.
+    """
+    length = min(n_frames, batch_length or DEFAULT_LENGTH)
+    n_bytes = 4 * length * shape[0] * shape[1]
+    if n_bytes > MOST_BATCH_BYTES:
+        raise DataError(
+            f'{name} is too large to search: {length} frames of {shape[1]} x {shape[0]} pixels at '
+            f'a time take {n_bytes / 1e9:.3g} GB, and the tables of a search as much again, at '
+            f'most {MOST_BATCH_BYTES / 1e9:.3g} GB each: lower batch_length, or cut out a part')
 
 
 class Outcome(Enum):

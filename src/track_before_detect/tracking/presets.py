@@ -16,6 +16,7 @@ from track_before_detect.capabilities import check_options
 from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.amplitude_scale import recognised_scale
+from track_before_detect.preprocess.prepare import frames_beyond
 from track_before_detect.preprocess.registration import register
 from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
@@ -124,6 +125,9 @@ def choose_for(recording: FrameSequence, preset: str, told: Mapping[str, Any]) -
 
 def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
     """Return the options that frames ask for, and why."""
+    garbage = frames_beyond(frames)
+    if garbage.sum() < len(frames):
+        frames = frames[~garbage]
     if np.iscomplexobj(frames):
         return {'amplitudes': 'complex', 'noise': 'robust'}, ['frames of complex numbers']
     if _is_unit_noise(frames):

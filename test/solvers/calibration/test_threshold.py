@@ -1,7 +1,11 @@
 """The threshold asks for no more and no fewer false alarms than requested."""
 
 import dataclasses
+import io
 import logging
+import re
+import resource
+import signal
 
 import numpy as np
 import pytest
@@ -75,12 +79,58 @@ def test_second_calibration_comes_from_the_cache(study, own_cache, monkeypatch):
     assert threshold_for(study, (64, 64), 0.05) == first
 
 
-@pytest.mark.parametrize('content', [b'', b'not an array'])
-def test_spoilt_cache_is_made_anew(study, own_cache, content):
+def array_file(values, claimed=None):
+    """Return the bytes of a file of an array, whose header may claim another number of items."""
+    file = io.BytesIO()
+    np.save(file, values)
+    kept = file.getvalue()
+    was, claims = (f'({n},), }}'.encode() for n in (len(values), claimed or len(values)))
+    head, _, tail = kept.partition(was)
+    # The spaces behind the header make room for the digits.
+    return head + claims + tail[len(claims) - len(was):]
+
+
+@pytest.mark.parametrize('content', [
+    b'', b'not an array', array_file(np.full(200, 'text')), array_file(np.zeros(200)),
+    array_file(np.full(200, 7.0)), array_file(np.arange(200)), array_file(np.arange(9.0)),
+    array_file(np.full(200, np.nan)), array_file(np.arange(200.0), 10**11),
+    array_file(np.arange(200.0), 10**30),
+], ids=['empty', 'foreign', 'strings', 'zeros', 'equal', 'integers', 'few', 'nan', 'huge',
+        'astronomic'])
+def test_spoilt_cache_is_named_and_made_anew(study, own_cache, caplog, content):
     first = threshold_for(study, (64, 64), 0.05)
-    for file in own_cache.rglob('*.npy'):
-        file.write_bytes(content)
+    [file] = own_cache.rglob('*.npy')
+    sound = file.read_bytes()
+    file.write_bytes(content)
+    assert not caplog.text
     assert threshold_for(study, (64, 64), 0.05) == first
+    assert f'calibration in {file} cannot be used and is made anew' in caplog.text
+    assert file.read_bytes() == sound
+
+
+def test_without_a_home_calibrations_are_kept_among_temporary_files(study, own_cache,
+                                                                   monkeypatch):
+    def homeless():
+        raise RuntimeError('Could not determine home directory.')
+
+    monkeypatch.delenv('XDG_CACHE_HOME')
+    monkeypatch.setattr(module.Path, 'home', homeless)
+    monkeypatch.setattr('tempfile.tempdir', str(own_cache))
+    assert threshold_for(study, (64, 64), 0.05) > 0
+    assert len(list(own_cache.rglob('noise-*.npy'))) == 1
+
+
+def test_full_disk_is_said_and_lived_with(study, own_cache, caplog):
+    limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limit[1]))
+    try:
+        assert threshold_for(study, (64, 64), 0.05) > 0
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limit)
+        signal.signal(signal.SIGXFSZ, before)
+    assert re.search(rf'could not be kept in {own_cache}/.*\.npy for the next run', caplog.text)
+    assert not list(own_cache.rglob('*.npy'))
 
 
 def test_cache_that_cannot_be_written_is_said_and_lived_with(study, own_cache, monkeypatch,

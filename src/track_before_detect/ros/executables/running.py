@@ -16,6 +16,7 @@ from rclpy.utilities import remove_ros_args, try_shutdown
 from track_before_detect.cli.console import Parser
 from track_before_detect.errors import TbdError
 from track_before_detect.ros.executables.ending import Ending
+from track_before_detect.ros.logs.log_folder import ensure_log_folder
 from track_before_detect.ros.parameters import NodeParameter
 
 EXIT_DONE = 0
@@ -60,10 +61,13 @@ def run(name: str, module: NodeModule, make_node: Callable[[], AnyNode], spin: S
         with _words_of_rcl():
             others = remove_ros_args(args)[1:]
         _parser(name, module).parse_args(others)
+        note = ensure_log_folder()
         with _words_of_rcl():
             # Its own handlers take the middleware away while it is used.
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         node = make_node()
+        if note:
+            node.get_logger().warning(note)
         executor = SingleThreadedExecutor()
         executor.add_node(node)
         # A callback of its own, so that the executor comes back at once.

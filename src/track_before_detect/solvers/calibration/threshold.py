@@ -11,6 +11,7 @@ import logging
 import math
 import os
 from pathlib import Path
+import tempfile
 import threading
 
 import numpy as np
@@ -125,19 +126,34 @@ def _noise_maxima(study: NoiseStudy, crop: tuple[int, int],
                   progress: Progress | None) -> NDArray:
     """Return the largest statistic of each crop of noise, from the cache where it is known."""
     path = _cache_folder() / f'noise-{_key(study, crop)}.npy'
+    n_crops = _crop_count(study, crop)
     try:
-        maxima = np.load(path, allow_pickle=False)
-        if maxima.shape == (_crop_count(study, crop),) and np.all(np.isfinite(maxima)):
-            return maxima
-    except (OSError, ValueError, EOFError):
+        return _kept_maxima(path, n_crops)
+    except FileNotFoundError:
         pass
+    except (OSError, ValueError, TypeError, OverflowError, EOFError) as error:
+        _LOG.warning('the threshold calibration in %s cannot be used and is made anew: %s',
+                     path, error)
     maxima = _simulate(study, crop, progress)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as aside:
             np.save(aside, maxima)
     except OSError as error:
-        _LOG.warning('the threshold calibration could not be kept for the next run: %s', error)
+        _LOG.warning('the threshold calibration could not be kept in %s for the next run: %s',
+                     path, error)
+    return maxima
+
+
+def _kept_maxima(path: Path, n_crops: int) -> NDArray:
+    """Return the maxima in a file of the cache, or raise where they are none."""
+    # Mapped, so that a size that is wrong is refused before memory is asked for it.
+    kept = np.load(path, mmap_mode='r', allow_pickle=False)
+    if kept.dtype != np.float64 or kept.shape != (n_crops,):
+        raise ValueError(f'expected {n_crops} numbers, found shape {kept.shape} of {kept.dtype}')
+    maxima = np.array(kept)
+    if not np.all(np.isfinite(maxima)) or not 0 < np.quantile(maxima, 1 - TAIL) < maxima.max():
+        raise ValueError('expected the largest statistics of noise, found numbers that are none')
     return maxima
 
 
@@ -186,5 +202,9 @@ def _key(study: NoiseStudy, crop: tuple[int, int]) -> str:
 
 
 def _cache_folder() -> Path:
-    base = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
-    return Path(base) / 'track_before_detect'
+    base = os.environ.get('XDG_CACHE_HOME')
+    try:
+        return Path(base or Path.home() / '.cache') / 'track_before_detect'
+    except RuntimeError:
+        # A user of a container may have no home at all.
+        return Path(tempfile.gettempdir()) / f'track_before_detect-{os.getuid()}'

@@ -1,0 +1,1 @@
+"""What comes in from other nodes, and who sends it."""

@@ -1,0 +1,39 @@
+"""What the library says through Python's logging and warnings, handed to a node."""
+
+from collections.abc import Callable
+import logging
+
+from track_before_detect.recordings.read_errors import said_by_library
+
+# Ours, and what logging makes of Python's warnings.
+_NAMES = ('track_before_detect', 'py.warnings')
+
+
+class LibraryLog(logging.Handler):
+    """Hands warnings of the library on until it is closed.
+
+    Parameters
+    ----------
+    warn : callable
+        Takes a kind, for throttling, and a sentence.
+    """
+
+    def __init__(self, warn: Callable[[str, str], None]) -> None:
+        super().__init__(logging.WARNING)
+        self._warn = warn
+        logging.captureWarnings(True)
+        for name in _NAMES:
+            logging.getLogger(name).addHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Hand one record on."""
+        text = said_by_library(record)
+        if record.exc_info:
+            text = f'{text}\n{logging.Formatter().formatException(record.exc_info)}'
+        self._warn(f'{record.name}: {record.msg}', text)
+
+    def close(self) -> None:
+        """Hand on no more."""
+        for name in _NAMES:
+            logging.getLogger(name).removeHandler(self)
+        super().close()
