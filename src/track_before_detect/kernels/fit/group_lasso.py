@@ -177,8 +177,17 @@ def value_and_gap(amplitudes, matched, slack, weight, non_negative, energy):
 
 
 @numba.njit(**UNCHECKED)
+def _copy(out, source):
+    # An assignment of whole arrays compiles for seconds: its error puts shapes into words.
+    for p in range(out.shape[0]):
+        for d in range(out.shape[1]):
+            for k in range(out.shape[2]):
+                out[p, d, k] = source[p, d, k]
+
+
+@numba.njit(**UNCHECKED)
 def _slack(amplitudes, matched, gram, slack):
-    slack[:] = matched
+    _copy(slack, matched)
     for p in range(amplitudes.shape[0]):
         _change(slack, gram, p, amplitudes[p])
 
@@ -284,20 +293,22 @@ def _newton_step(norms, amplitudes, matched, gram, weight, non_negative):
 def _try_newton(amplitudes, slack, matched, gram, weight, non_negative, energy, objective):
     """Improve amplitudes and slack by a Newton step on the norms; return the gap or infinity."""
     n_paths = amplitudes.shape[0]
-    before = np.empty(n_paths)
+    before, norms = np.empty(n_paths), np.empty(n_paths)
     for p in range(n_paths):
-        before[p] = _norm(amplitudes[p])
-    norms, trial, trial_slack = before.copy(), amplitudes.copy(), np.empty(slack.shape)
+        before[p] = norms[p] = _norm(amplitudes[p])
+    trial, trial_slack = np.empty(slack.shape), np.empty(slack.shape)
+    _copy(trial, amplitudes)
     _newton_step(norms, trial, matched, gram, weight, non_negative)
     for _ in range(MOST_TRIALS):
         _fit_given_norms(norms, trial, matched, gram, weight, non_negative, np.empty((0, 0)))
         _slack(trial, matched, gram, trial_slack)
         reached, gap, _ = value_and_gap(trial, matched, trial_slack, weight, non_negative, energy)
         if reached <= objective + 1e-14 * energy:
-            amplitudes[:] = trial
-            slack[:] = trial_slack
+            _copy(amplitudes, trial)
+            _copy(slack, trial_slack)
             return gap
-        norms += 0.7 * (before - norms)
+        for p in range(n_paths):
+            norms[p] += 0.7 * (before[p] - norms[p])
     return math.inf
 
 
