@@ -88,7 +88,7 @@ def _change(slack, gram, path, step):
                 slack[p, d, k] -= gram[path, p, k] * step[d, k]
 
 
-@numba.njit(**UNCHECKED)
+@numba.njit(**UNCHECKED, inline='always')
 def _sweep(amplitudes, slack, gram, weight, non_negative, step):
     """Minimise path by path, once over all members (Algorithm 3)."""
     n_paths, n_parts, n_frames = amplitudes.shape
@@ -192,7 +192,7 @@ def _slack(amplitudes, matched, gram, slack):
         _change(slack, gram, p, amplitudes[p])
 
 
-@numba.njit(**UNCHECKED)
+@numba.njit(**UNCHECKED, inline='always')
 def _fit_block(norms, block, n, k, d, amplitudes, matched, gram, weight, non_negative, curvature):
     """Fit the paths of a block in one frame for given norms, and add its part of the curvature.
 
@@ -267,7 +267,7 @@ def _fit_given_norms(norms, amplitudes, matched, gram, weight, non_negative, cur
             first = ends[number]
 
 
-@numba.njit(**UNCHECKED)
+@numba.njit(**UNCHECKED, inline='always')
 def _newton_step(norms, amplitudes, matched, gram, weight, non_negative):
     """Take a Newton step on the norms of the paths, which joins what neighbours share.
 
@@ -285,11 +285,11 @@ def _newton_step(norms, amplitudes, matched, gram, weight, non_negative):
             right[p] = 0.5 * weight * ((_norm(amplitudes[p]) / norms[p])**2 - 1.0)
             for q in range(n_paths):
                 right[p] += curvature[p, q] * norms[q]
-    solve_frame(norms, right, curvature, True, np.empty((n_paths, n_paths)),
+    solve_frame(norms, right, curvature, np.bool_(True), np.empty((n_paths, n_paths)),
                 np.empty(n_paths, np.int64))
 
 
-@numba.njit(**UNCHECKED)
+@numba.njit(**UNCHECKED, inline='always')
 def _try_newton(amplitudes, slack, matched, gram, weight, non_negative, energy, objective):
     """Improve amplitudes and slack by a Newton step on the norms; return the gap or infinity."""
     n_paths = amplitudes.shape[0]

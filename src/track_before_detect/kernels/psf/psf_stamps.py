@@ -31,6 +31,8 @@ from track_before_detect.kernels.psf.psf_profiles import (
 # weight of one, counts as hidden: its position would be guessed from the outermost pixels
 # (docs/constants/given_paths.md).
 LEAST_SHARE = 1e-3
+# A plain number, or an array unpacked like a tuple, would have what is called compiled once more.
+_FIRST = np.int64(0)
 
 
 @numba.njit(**EXACT)
@@ -42,12 +44,13 @@ def _profiles(optics):
 @numba.njit(**EXACT)
 def _place(optics, positions, t, ones, profiles):
     """Fill the profiles of frame t; return the first pixel of the stamp."""
-    rows, columns, row_slopes, column_slopes = profiles
     smear_x, smear_y = smear_of(optics, positions, t)
     x_0 = int(math.ceil(positions[t, 0] - 0.5)) - optics.half
     y_0 = int(math.ceil(positions[t, 1] - 0.5)) - optics.half
-    fill_profiles(optics, positions[t, 1], smear_y, 0, y_0, optics.shares, rows, row_slopes)
-    fill_profiles(optics, positions[t, 0], smear_x, 1, x_0, ones, columns, column_slopes)
+    fill_profiles(optics, positions[t, 1], smear_y, _FIRST, y_0, optics.shares, profiles[0],
+                  profiles[2])
+    fill_profiles(optics, positions[t, 0], smear_x, _FIRST + 1, x_0, ones, profiles[1],
+                  profiles[3])
     return x_0, y_0
 
 
@@ -76,10 +79,12 @@ def render(optics, positions, height, width, weights, stamps, origins, norms):
                     value *= weights[t if weights.shape[0] > 1 else 0, y_0 + i, x_0 + k]
                 stamps[t, i, k] = value
                 total += value * value
-        share = total / product_norm(rows, columns, 0, size, 0, size)
+        share = total / product_norm(rows, columns, _FIRST, size, _FIRST, size)
         norms[t] = math.sqrt(share) if share > LEAST_SHARE else 0.0
         factor = 1.0 / math.sqrt(total) if share > LEAST_SHARE else 0.0
-        stamps[t] *= factor
+        for i in range(size):
+            for k in range(size):
+                stamps[t, i, k] *= factor
 
 
 @numba.njit(**EXACT)
@@ -133,7 +138,8 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     """
     height, width = frames.shape[1:]
     ones, profiles = np.ones(optics.nodes.size), _profiles(optics)
-    rows, columns, row_slopes, column_slopes = profiles
+    rows, columns, row_slopes, column_slopes = (
+        profiles[0], profiles[1], profiles[2], profiles[3])
     n_parts, size = rows.shape
     weighted = weights.shape[0] > 0
     for t in range(positions.shape[0]):
@@ -187,7 +193,7 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
             # The norm changes as well: beside borders and masks, and of sharp PSFs everywhere.
             slope_x -= h * (along_x / total)
             slope_y -= h * (along_y / total)
-        share = total / product_norm(rows, columns, 0, size, 0, size)
+        share = total / product_norm(rows, columns, _FIRST, size, _FIRST, size)
         norms[t] = 0.0
         if share > LEAST_SHARE:
             norms[t] = math.sqrt(share) if weighted else 1.0
