@@ -9,8 +9,6 @@ number where the statistic is made of normal ones; otherwise it is taken to fall
 import hashlib
 import logging
 import math
-import os
-from pathlib import Path
 import threading
 
 import numpy as np
@@ -18,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from track_before_detect.atomic_files import atomic_path
+from track_before_detect.kernels.compiled_cache import user_cache_folder
 from track_before_detect.parallel import map_in_threads
 from track_before_detect.solvers.calibration.noise_study import CROP_PX, NoiseStudy
 from track_before_detect.types import Progress
@@ -124,7 +123,7 @@ def _tail(ordered: NDArray, share: float) -> tuple[float, float]:
 def _noise_maxima(study: NoiseStudy, crop: tuple[int, int],
                   progress: Progress | None) -> NDArray:
     """Return the largest statistic of each crop of noise, from the cache where it is known."""
-    path = _cache_folder() / f'noise-{_key(study, crop)}.npy'
+    path = user_cache_folder() / f'noise-{_key(study, crop)}.npy'
     try:
         maxima = np.load(path, allow_pickle=False)
         if maxima.shape == (_crop_count(study, crop),) and np.all(np.isfinite(maxima)):
@@ -183,8 +182,3 @@ def _crop_count(study: NoiseStudy, crop: tuple[int, int]) -> int:
 def _key(study: NoiseStudy, crop: tuple[int, int]) -> str:
     text = repr((REVISION, _crop_count(study, crop), SEED, crop, study.key))
     return hashlib.sha256(text.encode()).hexdigest()[:24]
-
-
-def _cache_folder() -> Path:
-    base = os.environ.get('XDG_CACHE_HOME') or Path.home() / '.cache'
-    return Path(base) / 'track_before_detect'
