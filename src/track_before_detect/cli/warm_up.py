@@ -29,7 +29,7 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         'warm-up', help='compile the loops ahead', epilog=_EXAMPLES,
         description='Compile the loops of a search now, which otherwise the first search does. '
-        'They are kept\nfor all installations of this version, in the user\'s cache or in '
+        "They are kept\nfor all installations of this version, in the user's cache or in "
         'NUMBA_CACHE_DIR, until the\nsources, numba or numpy change.')
     parser.set_defaults(run=run)
     parser.add_argument('what', metavar='WHAT', nargs='?', default='default',
@@ -42,7 +42,6 @@ def run(arguments: Namespace) -> int:
         'default': ({},), 'everything': _EVERYTHING,
         **{name: ({'detector': name},) for name in DETECTORS}})
     # Compiled loops take a second to load; errors need not wait for them.
-    from track_before_detect.kernels.compiled_cache import cache_folder
     from track_before_detect.tracking.pipeline import TrackingPipeline
 
     started = time.perf_counter()
@@ -54,5 +53,5 @@ def run(arguments: Namespace) -> int:
 
         # In a thread of its own, which an interrupt does not wait for.
         map_in_threads(compile_all, [searches], progress.show_time)
-    print(f'ready in {time.perf_counter() - started:.1f} s: {cache_folder()}')
+    print(f'ready in {time.perf_counter() - started:.1f} s')
     return FOUND

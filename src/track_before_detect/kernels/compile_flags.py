@@ -17,6 +17,10 @@ compiled_cache.install()
 # number of floating point of its sum with a plain integer.
 Offset: Any = int if numba.config.DISABLE_JIT else np.uint64
 
+# A plain number is a type of its own to what is called with it, and would have that compiled once
+# more.
+ZERO: Any = np.int64(0)
+
 # As the standard of floating point has it, with Python's errors.
 EXACT: dict[str, Any] = {'nogil': True, 'cache': True, 'no_cfunc_wrapper': True}
 # A division by zero gives infinity or NaN, as in NumPy, and is not checked for.

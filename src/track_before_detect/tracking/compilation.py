@@ -66,7 +66,7 @@ class _Watch(event.Listener):
             self._progress(LABEL, Count(len(done), len(self._wanted | done),
                                         time.monotonic() - self._started))
         except Exception as error:
-            raise _Left from error
+            raise _Left(error) from error
 
 
 class _Left(BaseException):
@@ -93,7 +93,7 @@ def told_of_compiling(progress: Progress | None, options: DetectorOptions) -> It
         with event.install_listener('numba:compile', watch):
             yield
     except _Left as left:
-        raise left.__cause__ from None
+        raise left.args[0] from None
 
 
 @functools.cache

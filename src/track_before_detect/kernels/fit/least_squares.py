@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import UNCHECKED
+from track_before_detect.kernels.compile_flags import UNCHECKED, ZERO
 
 # Added to the diagonal, relative to it, so that paths that are the same have a factor.
 _RIDGE = 1e-12
@@ -121,9 +121,9 @@ def solve_frame(x, matched, gram, non_negative, factor, chosen):
         else:
             x[p] = 0.0
             barred[p] = True
-    n_chosen = np.int64(0)
+    n_chosen = ZERO
     for _ in range(10 * n + 10):
-        n_chosen = np.int64(0)
+        n_chosen = ZERO
         for p in range(n):
             if inside[p]:
                 chosen[n_chosen] = p

@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.amplitude_codes import COMPLEX
-from track_before_detect.kernels.compile_flags import EXACT
+from track_before_detect.kernels.compile_flags import EXACT, ZERO
 from track_before_detect.kernels.psf.psf_profiles import (
     fill_profiles,
     inner_product,
@@ -31,8 +31,6 @@ from track_before_detect.kernels.psf.psf_profiles import (
 # weight of one, counts as hidden: its position would be guessed from the outermost pixels
 # (docs/constants/given_paths.md).
 LEAST_SHARE = 1e-3
-# A plain number, or an array unpacked like a tuple, would have what is called compiled once more.
-_FIRST = np.int64(0)
 
 
 @numba.njit(**EXACT)
@@ -47,9 +45,9 @@ def _place(optics, positions, t, ones, profiles):
     smear_x, smear_y = smear_of(optics, positions, t)
     x_0 = int(math.ceil(positions[t, 0] - 0.5)) - optics.half
     y_0 = int(math.ceil(positions[t, 1] - 0.5)) - optics.half
-    fill_profiles(optics, positions[t, 1], smear_y, _FIRST, y_0, optics.shares, profiles[0],
+    fill_profiles(optics, positions[t, 1], smear_y, ZERO, y_0, optics.shares, profiles[0],
                   profiles[2])
-    fill_profiles(optics, positions[t, 0], smear_x, _FIRST + 1, x_0, ones, profiles[1],
+    fill_profiles(optics, positions[t, 0], smear_x, ZERO + 1, x_0, ones, profiles[1],
                   profiles[3])
     return x_0, y_0
 
@@ -79,7 +77,7 @@ def render(optics, positions, height, width, weights, stamps, origins, norms):
                     value *= weights[t if weights.shape[0] > 1 else 0, y_0 + i, x_0 + k]
                 stamps[t, i, k] = value
                 total += value * value
-        share = total / product_norm(rows, columns, _FIRST, size, _FIRST, size)
+        share = total / product_norm(rows, columns, ZERO, size, ZERO, size)
         norms[t] = math.sqrt(share) if share > LEAST_SHARE else 0.0
         factor = 1.0 / math.sqrt(total) if share > LEAST_SHARE else 0.0
         for i in range(size):
@@ -138,6 +136,7 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     """
     height, width = frames.shape[1:]
     ones, profiles = np.ones(optics.nodes.size), _profiles(optics)
+    # Unpacked like a tuple they would be of another type than elsewhere.
     rows, columns, row_slopes, column_slopes = (
         profiles[0], profiles[1], profiles[2], profiles[3])
     n_parts, size = rows.shape
@@ -193,7 +192,7 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
             # The norm changes as well: beside borders and masks, and of sharp PSFs everywhere.
             slope_x -= h * (along_x / total)
             slope_y -= h * (along_y / total)
-        share = total / product_norm(rows, columns, _FIRST, size, _FIRST, size)
+        share = total / product_norm(rows, columns, ZERO, size, ZERO, size)
         norms[t] = 0.0
         if share > LEAST_SHARE:
             norms[t] = math.sqrt(share) if weighted else 1.0
