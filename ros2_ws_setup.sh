@@ -9,6 +9,7 @@ venv=$package_dir/.venv
 venv_python=$venv/bin/python
 owner_file=$venv/.made_by_ros2_ws_setup
 stamp_file=$venv/.setup_complete
+compiled_file=$venv/.loops_compiled
 log_file=$venv/setup.log
 ros_root=/opt/ros/jazzy
 needed_mb=1500
@@ -114,7 +115,7 @@ run_step() {
             printf '\r\033[K%s: %d s  %s' "$head" "$waited" "$doing"
         elif ((waited - shown >= 20)); then
             shown=$waited
-            say "$head: $waited s so far"
+            say "$head: $waited s so far ($(tail -n 1 -- "$log_file" | tr -d '\r' | cut -c 1-60))"
         fi
         sleep 0.2
     done
@@ -283,11 +284,25 @@ import track_before_detect
 print("track_before_detect", track_before_detect.__version__)'
 }
 
+compile_ahead() {
+    local stamp
+    stamp=$(cd -- "$package_dir/src" && find . -name '*.py' -path '*/kernels/*' -print0 | sort -z \
+        | xargs -0 sha256sum | sha256sum)
+    if [[ ! -f $compiled_file || $(<"$compiled_file") != "$stamp" ]]; then
+        run_step 'compiling the loops' "$venv/bin/tbd" warm-up
+        printf '%s\n' "$stamp" >"$compiled_file"
+    fi
+}
+
 setup() {
     local began=$SECONDS python='' free made=no source_of_ros
     command -v sha256sum >/dev/null || fail "the command sha256sum (coreutils) is missing"
     prepare_environment
     if is_complete; then
+        trap interrupted INT TERM HUP
+        steps=1
+        compile_ahead
+        trap - INT TERM HUP
         return
     fi
     find_python
@@ -310,10 +325,10 @@ setup() {
     : >"$log_file"
     trap interrupted INT TERM HUP
     if [[ $mode == wheels ]]; then
-        steps=5
+        steps=6
         source_of_ros=PyPI
     else
-        steps=4
+        steps=5
         source_of_ros=$ros_root
     fi
     say "setting up track_before_detect in $venv ($("$python" --version), ROS 2 Jazzy from" \
@@ -336,6 +351,8 @@ setup() {
 
     fingerprint >"$stamp_file.new"
     mv -- "$stamp_file.new" "$stamp_file"
+    rm -f -- "$compiled_file"
+    compile_ahead
     trap - INT TERM HUP
     exec 9>&-
     say "set-up complete in $((SECONDS - began)) s"

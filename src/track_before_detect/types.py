@@ -10,6 +10,23 @@ from numpy.typing import NDArray
 
 # Called during long work with what is being done and the share that is done, 0 to 1.
 Progress = Callable[[str, float], None]
+
+
+class Count(float):
+    """The share of loops that are compiled, and in words how many of how many since when."""
+
+    def __new__(cls, done: int, total: int, seconds: float) -> Count:
+        """Return the share of ``done`` loops of ``total``."""
+        count = super().__new__(cls, done / total)
+        count.words = f'{done} of {total} loops, {seconds:.0f} s'
+        return count
+
+    words: str
+
+    def __str__(self) -> str:
+        return self.words
+
+
 # Trajectories of a result that are printed, the best first.
 SHOWN_TRAJECTORIES = 10
 

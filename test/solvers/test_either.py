@@ -164,7 +164,7 @@ def test_warm_up_prepares_both_models():
     told = []
     pipeline = TrackingPipeline(DetectorOptions(amplitude_model='either', max_speed_px_s=0.7))
     threshold = pipeline.warm_up((H, W), 1.0, T, lambda label, share: told.append((label, share)))
-    assert told[:2] == [('compiling', 0.0), ('compiling', 0.5)]
+    assert told[0] == ('compiling', 0.0) and ('compiling', 1.0) in told
     assert [share for _, share in told].count(1.0) == 3
     frames = frames_of((line(9, 20), 7 * STEADY))
     told.clear()

@@ -27,7 +27,8 @@ def add_parser(commands: Any) -> None:
     parser.add_argument('bench', metavar='BENCH', nargs='?', default='convex',
                         help='what is measured: convex (default); dp, dynamic programming beside '
                         'plain NumPy; fit, amplitudes of thousands of given paths; parallel, '
-                        'target cancellation by direction; velocity_filter, beside plain NumPy')
+                        'target cancellation by direction; velocity_filter, beside plain NumPy; '
+                        'compilation, of the loops from nothing')
     parser.add_argument('--output', metavar='FILE.json', default='bench.json',
                         help='file to write (default: bench.json)')
     parser.add_argument('--repeats', metavar='R', type=int, default=7,

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.options import range_words
-from track_before_detect.types import Trajectory
+from track_before_detect.types import Count, Trajectory
 
 FOUND, FAILED, BAD_INPUT, NOTHING_FOUND, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 130, 143
 
@@ -142,12 +142,13 @@ def indented(text: str) -> str:
 
 
 class Progress:
-    """Shows progress: a bar on a terminal, otherwise one line per task."""
+    """Shows progress: a bar on a terminal, otherwise one line per task, or for ``every`` loop."""
 
-    def __init__(self, stream: TextIO):
+    def __init__(self, stream: TextIO, every: bool = False):
         self._stream = stream
         self._label = ''
         self._announced: set[str] = set()
+        self._every = every
         self._bar: Any = None
         self._new_bar: Callable[..., Any] | None = None
         if stream.isatty() and importlib.util.find_spec('tqdm') is not None:
@@ -162,20 +163,22 @@ class Progress:
 
     def __call__(self, label: str, done: float) -> None:
         """Show that the share ``done`` (0..1) of the task ``label`` is done."""
+        words = f'{label}: {done}' if isinstance(done, Count) else label
+        if self._new_bar is None:
+            # Every batch may go through the same tasks again.
+            told = words if self._every else label
+            if told not in self._announced:
+                print(f'tbd: {words}', file=self._stream, flush=True)
+                self._announced.add(told)
+            return
         if label != self._label:
             self._close()
             self._label = label
-            if self._new_bar is None:
-                # Every batch may go through the same tasks again.
-                if label not in self._announced:
-                    print(f'tbd: {label}', file=self._stream, flush=True)
-                    self._announced.add(label)
-            else:
-                self._bar = self._new_bar(
-                    total=1.0, desc=label, file=self._stream, leave=False,
-                    bar_format='{desc}: {percentage:3.0f} %|{bar}| {elapsed}')
-        if self._bar is not None:
-            self._bar.update(min(max(done, 0.0), 1.0) - self._bar.n)
+            self._bar = self._new_bar(
+                total=1.0, desc=label, file=self._stream, leave=False,
+                bar_format='{desc}: {percentage:3.0f} %|{bar}| {elapsed}')
+        self._bar.set_description_str(words, refresh=False)
+        self._bar.update(min(max(done, 0.0), 1.0) - self._bar.n)
 
     def show_time(self) -> None:
         """Show that time goes on, where nothing else can be told of a task."""

@@ -10,7 +10,7 @@ import threading
 from typing import NoReturn
 
 from track_before_detect import __version__
-from track_before_detect.cli import bench, detect, evaluate, inspect, simulate
+from track_before_detect.cli import bench, detect, evaluate, inspect, simulate, warm_up
 from track_before_detect.cli.console import (
     BAD_INPUT,
     error_words,
@@ -96,7 +96,7 @@ def _run(arguments: Sequence[str] | None) -> int:
     parser.add_argument('--version', action='version', version=f'tbd {__version__}')
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title='commands', metavar='COMMAND')
-    for command in (detect, inspect, simulate, evaluate, bench):
+    for command in (detect, inspect, simulate, evaluate, bench, warm_up):
         command.add_parser(commands)
     options = parser.parse_args(arguments)
     if options.run is None:

@@ -1,6 +1,7 @@
 """How the loops are compiled: what the compiler may assume of their numbers.
 
-All release the interpreter lock, so that plain threads share their work, and are kept on disk.
+All release the interpreter lock, so that plain threads share their work, and are kept on disk, see
+the module ``compiled_cache``.
 """
 
 from typing import Any
@@ -8,12 +9,20 @@ from typing import Any
 import numba
 import numpy as np
 
+from track_before_detect.kernels import compiled_cache
+
+compiled_cache.install()
+
 # Of an offset: not checked for being negative. Without the compiler NumPy before 2 would make a
 # number of floating point of its sum with a plain integer.
 Offset: Any = int if numba.config.DISABLE_JIT else np.uint64
 
+# A plain number is a type of its own to what is called with it, and would have that compiled once
+# more.
+ZERO: Any = np.int64(0)
+
 # As the standard of floating point has it, with Python's errors.
-EXACT: dict[str, Any] = {'nogil': True, 'cache': True}
+EXACT: dict[str, Any] = {'nogil': True, 'cache': True, 'no_cfunc_wrapper': True}
 # A division by zero gives infinity or NaN, as in NumPy, and is not checked for.
 UNCHECKED: dict[str, Any] = {**EXACT, 'error_model': 'numpy'}
 

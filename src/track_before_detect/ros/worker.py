@@ -20,7 +20,7 @@ from track_before_detect.ros.frame_queue import FrameQueue, StreamFrame, StreamR
 from track_before_detect.tracking.batcher import Intake, Outcome
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.presets import Choice
-from track_before_detect.types import DetectionResult, FrameBatch
+from track_before_detect.types import Count, DetectionResult, FrameBatch
 
 logger = logging.getLogger(__name__)
 
@@ -407,7 +407,7 @@ class StreamWorker:
         if label == 'searching':
             # A state of its own for each batch would fill the log.
             return
-        self._set_state(label, f'{100.0 * done:.0f} %')
+        self._set_state(label, str(done) if isinstance(done, Count) else f'{100.0 * done:.0f} %')
 
     def _progress_beside(self, label: str, done: float) -> None:
         self.status.beside = f'{label} other options: {100.0 * done:.0f} %'

@@ -36,6 +36,7 @@ from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
+from track_before_detect.tracking.compilation import LABEL, told_of_compiling
 from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.remarks import Remarks
 from track_before_detect.tracking.stitcher import Stitcher
@@ -148,7 +149,7 @@ class TrackingPipeline:
     def compile(self, progress: Progress | None = None) -> None:
         """Run every kernel once, on a target bright enough to pass through all stages."""
         if progress is not None:
-            progress('compiling', 0.0)
+            progress(LABEL, 0.0)
         options = self._options.replace(
             threshold=None if self._options.calibration == 'clutter' else 8.0,
             psf_sigma_px=1.0, max_speed_px_s=None, max_acceleration_px_s2=None, variance=None,
@@ -164,15 +165,14 @@ class TrackingPipeline:
         kinds = {'either': ('fluctuating', 'constant')}.get(
             options.amplitude_model, (options.amplitude_model,))
         detectors = [make_detector(options.replace(amplitude_model=kind)) for kind in kinds]
-        for detector in detectors:
-            detector.detect(batch)
+        with told_of_compiling(progress, self._options):
+            for detector in detectors:
+                detector.detect(batch)
+            frames[:, 0, 0] = np.nan
+            for detector in detectors:
+                detector.detect(batch)
         if progress is not None:
-            progress('compiling', 0.5)
-        frames[:, 0, 0] = np.nan
-        for detector in detectors:
-            detector.detect(batch)
-        if progress is not None:
-            progress('compiling', 1.0)
+            progress(LABEL, 1.0)
 
     def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of a batch.
@@ -194,7 +194,8 @@ class TrackingPipeline:
         registration = None
         results = []
         for background in self._backgrounds:
-            result, registration = self._search(batch, background, registration, progress)
+            with told_of_compiling(progress, self._options):
+                result, registration = self._search(batch, background, registration, progress)
             results.append(result)
         found = [trajectory for result in results for trajectory in result.trajectories]
         rejected = [trajectory for result in results for trajectory in result.rejected]

@@ -88,7 +88,7 @@ def _change(slack, gram, path, step):
                 slack[p, d, k] -= gram[path, p, k] * step[d, k]
 
 
-@numba.njit(**UNCHECKED)
+@numba.njit(**UNCHECKED, inline='always')
 def _sweep(amplitudes, slack, gram, weight, non_negative, step):
     """Minimise path by path, once over all members (Algorithm 3)."""
     n_paths, n_parts, n_frames = amplitudes.shape
@@ -177,13 +177,22 @@ def value_and_gap(amplitudes, matched, slack, weight, non_negative, energy):
 
 
 @numba.njit(**UNCHECKED)
+def _copy(out, source):
+    # An assignment of whole arrays compiles for seconds: its error puts shapes into words.
+    for p in range(out.shape[0]):
+        for d in range(out.shape[1]):
+            for k in range(out.shape[2]):
+                out[p, d, k] = source[p, d, k]
+
+
+@numba.njit(**UNCHECKED)
 def _slack(amplitudes, matched, gram, slack):
-    slack[:] = matched
+    _copy(slack, matched)
     for p in range(amplitudes.shape[0]):
         _change(slack, gram, p, amplitudes[p])
 
 
-@numba.njit(**UNCHECKED)
+@numba.njit(**UNCHECKED, inline='always')
 def _fit_block(norms, block, n, k, d, amplitudes, matched, gram, weight, non_negative, curvature):
     """Fit the paths of a block in one frame for given norms, and add its part of the curvature.
 
@@ -258,7 +267,7 @@ def _fit_given_norms(norms, amplitudes, matched, gram, weight, non_negative, cur
             first = ends[number]
 
 
-@numba.njit(**UNCHECKED)
+@numba.njit(**UNCHECKED, inline='always')
 def _newton_step(norms, amplitudes, matched, gram, weight, non_negative):
     """Take a Newton step on the norms of the paths, which joins what neighbours share.
 
@@ -276,28 +285,30 @@ def _newton_step(norms, amplitudes, matched, gram, weight, non_negative):
             right[p] = 0.5 * weight * ((_norm(amplitudes[p]) / norms[p])**2 - 1.0)
             for q in range(n_paths):
                 right[p] += curvature[p, q] * norms[q]
-    solve_frame(norms, right, curvature, True, np.empty((n_paths, n_paths)),
+    solve_frame(norms, right, curvature, np.bool_(True), np.empty((n_paths, n_paths)),
                 np.empty(n_paths, np.int64))
 
 
-@numba.njit(**UNCHECKED)
+@numba.njit(**UNCHECKED, inline='always')
 def _try_newton(amplitudes, slack, matched, gram, weight, non_negative, energy, objective):
     """Improve amplitudes and slack by a Newton step on the norms; return the gap or infinity."""
     n_paths = amplitudes.shape[0]
-    before = np.empty(n_paths)
+    before, norms = np.empty(n_paths), np.empty(n_paths)
     for p in range(n_paths):
-        before[p] = _norm(amplitudes[p])
-    norms, trial, trial_slack = before.copy(), amplitudes.copy(), np.empty(slack.shape)
+        before[p] = norms[p] = _norm(amplitudes[p])
+    trial, trial_slack = np.empty(slack.shape), np.empty(slack.shape)
+    _copy(trial, amplitudes)
     _newton_step(norms, trial, matched, gram, weight, non_negative)
     for _ in range(MOST_TRIALS):
         _fit_given_norms(norms, trial, matched, gram, weight, non_negative, np.empty((0, 0)))
         _slack(trial, matched, gram, trial_slack)
         reached, gap, _ = value_and_gap(trial, matched, trial_slack, weight, non_negative, energy)
         if reached <= objective + 1e-14 * energy:
-            amplitudes[:] = trial
-            slack[:] = trial_slack
+            _copy(amplitudes, trial)
+            _copy(slack, trial_slack)
             return gap
-        norms += 0.7 * (before - norms)
+        for p in range(n_paths):
+            norms[p] += 0.7 * (before[p] - norms[p])
     return math.inf
 
 

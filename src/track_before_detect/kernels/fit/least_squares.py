@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import UNCHECKED
+from track_before_detect.kernels.compile_flags import UNCHECKED, ZERO
 
 # Added to the diagonal, relative to it, so that paths that are the same have a factor.
 _RIDGE = 1e-12
@@ -84,7 +84,7 @@ def find_blocks(matrix, order, ends):
     return n_blocks
 
 
-@numba.njit(**UNCHECKED)
+@numba.njit(**UNCHECKED, inline='always')
 def _solve_chosen(chosen, n, matched, gram, factor, solution):
     """Fill the least-squares solution over the first n of the chosen paths."""
     ridge = _RIDGE
@@ -121,9 +121,9 @@ def solve_frame(x, matched, gram, non_negative, factor, chosen):
         else:
             x[p] = 0.0
             barred[p] = True
-    n_chosen = 0
+    n_chosen = ZERO
     for _ in range(10 * n + 10):
-        n_chosen = 0
+        n_chosen = ZERO
         for p in range(n):
             if inside[p]:
                 chosen[n_chosen] = p
@@ -175,7 +175,9 @@ def solve(amplitudes, matched, gram, non_negative):
     ends = np.empty(n_paths, np.int64)
     solved = True
     for k in range(n_frames):
-        of_frame[:] = gram[:, :, k]
+        for a in range(n_paths):
+            for b in range(n_paths):
+                of_frame[a, b] = gram[a, b, k]
         first = 0
         for number in range(find_blocks(of_frame, order, ends)):
             n = ends[number] - first

@@ -10,6 +10,7 @@ from track_before_detect.kernels.amplitude_codes import (
     SIGNED_CONSTANT,
 )
 from track_before_detect.kernels.compile_flags import EXACT
+from track_before_detect.kernels.fit.least_squares import backward, factorise, forward
 from track_before_detect.kernels.psf.measurement import (
     curvatures,
     evaluate,
@@ -66,10 +67,10 @@ def maximise_statistic(positions, basis, compiled, limits, frames, weights, mode
     Returns the squared statistic reached.
     """
     n_frames, _, n_basis = basis.shape
-    rows = basis.reshape(2 * n_frames, n_basis)
     seen = np.empty((n_frames, 3))
     trial_seen = np.empty((n_frames, 3))
     trial = np.empty((n_frames, 2))
+    step = np.empty((n_frames, 2))
     amplitudes = np.empty(n_frames)
     trial_amplitudes = np.empty(n_frames)
     norms = np.empty(n_frames)
@@ -107,19 +108,31 @@ def maximise_statistic(positions, basis, compiled, limits, frames, weights, mode
                                              * basis[t, 1 - axis, k])
         for i in range(n_basis):
             normal[i, i] = normal[i, i] * (1.0 + damping) + 1e-9
-        step = (rows @ np.linalg.solve(normal, right)).reshape(n_frames, 2)
-        largest = np.abs(step).max()
-        if largest > sigma:
-            step *= sigma / largest
-        trial[:] = positions + step
+        if not factorise(normal, n_basis):
+            break
+        forward(normal, right, n_basis)
+        backward(normal, right, n_basis)
+        largest = 0.0
+        for t in range(n_frames):
+            for axis in range(2):
+                step[t, axis] = 0.0
+                for i in range(n_basis):
+                    step[t, axis] += basis[t, axis, i] * right[i]
+                largest = max(largest, abs(step[t, axis]))
+        shortened = sigma / largest if largest > sigma else 1.0
+        for t in range(n_frames):
+            for axis in range(2):
+                trial[t, axis] = positions[t, axis] + shortened * step[t, axis]
         _clip(trial, limits[0], limits[1])
         evaluate(compiled, trial, frames, weights, model, trial_seen, norms)
         trial_value = best_amplitudes(trial_seen, norms, model, trial_amplitudes)
         if trial_value > value:
             gained = trial_value - value
-            positions[:] = trial
-            seen[:] = trial_seen
-            amplitudes[:] = trial_amplitudes
+            for t in range(n_frames):
+                positions[t, 0], positions[t, 1] = trial[t, 0], trial[t, 1]
+                for k in range(3):
+                    seen[t, k] = trial_seen[t, k]
+                amplitudes[t] = trial_amplitudes[t]
             value = trial_value
             damping *= 0.3
             if gained < 1e-4 * value or largest < 1e-3 * sigma:

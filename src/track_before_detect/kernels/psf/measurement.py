@@ -90,7 +90,8 @@ def evaluate(compiled, positions, frames, weights, model, out, norms):
 @numba.njit(**EXACT)
 def curvatures(compiled, positions, out):
     """Write to out[t] the curvature (x, y) on the plane, see ``Optics``."""
-    slope = np.eye(2)
+    slope = np.zeros((2, 2))
+    slope[0, 0] = slope[1, 1] = 1.0
     for t in range(positions.shape[0]):
         if compiled.maps.shape[0] > 0:
             map_position(compiled.maps[t], positions[t, 0], positions[t, 1], slope)
@@ -132,7 +133,7 @@ def sharpest(curvature):
     """Return the standard deviation in pixels of the sharpest Gaussian of ``curvatures``."""
     most = 1e-300
     for t in range(curvature.shape[0]):
-        most = max(most, curvature[t].sum())
+        most = max(most, curvature[t, 0] + curvature[t, 1])
     return 1.0 / math.sqrt(most)
 
 

@@ -19,7 +19,7 @@ import numba
 import numpy as np
 
 from track_before_detect.kernels.amplitude_codes import COMPLEX
-from track_before_detect.kernels.compile_flags import EXACT
+from track_before_detect.kernels.compile_flags import EXACT, ZERO
 from track_before_detect.kernels.psf.psf_profiles import (
     fill_profiles,
     inner_product,
@@ -42,12 +42,13 @@ def _profiles(optics):
 @numba.njit(**EXACT)
 def _place(optics, positions, t, ones, profiles):
     """Fill the profiles of frame t; return the first pixel of the stamp."""
-    rows, columns, row_slopes, column_slopes = profiles
     smear_x, smear_y = smear_of(optics, positions, t)
     x_0 = int(math.ceil(positions[t, 0] - 0.5)) - optics.half
     y_0 = int(math.ceil(positions[t, 1] - 0.5)) - optics.half
-    fill_profiles(optics, positions[t, 1], smear_y, 0, y_0, optics.shares, rows, row_slopes)
-    fill_profiles(optics, positions[t, 0], smear_x, 1, x_0, ones, columns, column_slopes)
+    fill_profiles(optics, positions[t, 1], smear_y, ZERO, y_0, optics.shares, profiles[0],
+                  profiles[2])
+    fill_profiles(optics, positions[t, 0], smear_x, ZERO + 1, x_0, ones, profiles[1],
+                  profiles[3])
     return x_0, y_0
 
 
@@ -76,10 +77,12 @@ def render(optics, positions, height, width, weights, stamps, origins, norms):
                     value *= weights[t if weights.shape[0] > 1 else 0, y_0 + i, x_0 + k]
                 stamps[t, i, k] = value
                 total += value * value
-        share = total / product_norm(rows, columns, 0, size, 0, size)
+        share = total / product_norm(rows, columns, ZERO, size, ZERO, size)
         norms[t] = math.sqrt(share) if share > LEAST_SHARE else 0.0
         factor = 1.0 / math.sqrt(total) if share > LEAST_SHARE else 0.0
-        stamps[t] *= factor
+        for i in range(size):
+            for k in range(size):
+                stamps[t, i, k] *= factor
 
 
 @numba.njit(**EXACT)
@@ -133,7 +136,9 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
     """
     height, width = frames.shape[1:]
     ones, profiles = np.ones(optics.nodes.size), _profiles(optics)
-    rows, columns, row_slopes, column_slopes = profiles
+    # Unpacked like a tuple they would be of another type than elsewhere.
+    rows, columns, row_slopes, column_slopes = (
+        profiles[0], profiles[1], profiles[2], profiles[3])
     n_parts, size = rows.shape
     weighted = weights.shape[0] > 0
     for t in range(positions.shape[0]):
@@ -187,7 +192,7 @@ def statistic_and_slope(optics, positions, frames, weights, model, out, norms):
             # The norm changes as well: beside borders and masks, and of sharp PSFs everywhere.
             slope_x -= h * (along_x / total)
             slope_y -= h * (along_y / total)
-        share = total / product_norm(rows, columns, 0, size, 0, size)
+        share = total / product_norm(rows, columns, ZERO, size, ZERO, size)
         norms[t] = 0.0
         if share > LEAST_SHARE:
             norms[t] = math.sqrt(share) if weighted else 1.0

@@ -6,7 +6,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.kernels.compile_flags import EXACT
+from track_before_detect.kernels.compile_flags import EXACT, ZERO
 from track_before_detect.kernels.rows import ABSENT
 from track_before_detect.kernels.search.viterbi import Turns
 
@@ -82,10 +82,10 @@ def _live_on(reached, scores, t, y, x, v, motion, layout):
     return max(reached, -motion.entry) + met
 
 
-@numba.njit(**EXACT)
+@numba.njit(**EXACT, inline='always')
 def _best_end(tables, scores, j, y, x, motion, layout):
     """Return velocity and last frame of the best path that starts its last segment j at (y, x)."""
-    best, velocity, last = ABSENT, 0, motion.knots[j + 1] - 1
+    best, velocity, last = ABSENT, ZERO, motion.knots[j + 1] - 1
     for v in range(layout.n_v):
         _, reached, _ = _best_arrival(tables, j, y, x, v, motion, layout)
         for t in range(motion.knots[j], motion.knots[j + 1]):
@@ -96,7 +96,7 @@ def _best_end(tables, scores, j, y, x, motion, layout):
     return velocity, last
 
 
-@numba.njit(**EXACT)
+@numba.njit(**EXACT, inline='always')
 def _follow_back(positions, velocities, starts, tables, scores, j, y, x, motion, layout):
     """Write positions and velocities of the best path that starts its last segment j at (y, x).
 
@@ -174,7 +174,7 @@ def best_paths(positions, velocities, values, turns, best, tables, scores, motio
         for y in range(n_y):
             at[e, y] = np.argmax(best[e, y])
     for i in range(values.size):
-        end, y = 0, 0
+        end, y = ZERO, ZERO
         for e in range(n_ends):
             for row in range(n_y):
                 if best[e, row, at[e, row]] > best[end, y, at[end, y]]:

@@ -125,7 +125,8 @@ def store_scores(scores, largest, new, price, layout, first_row, last_row):
             _copy_and_raise_sizes(scores, _U(layout.pad + row * layout.stride), flat,
                                   _U(row * layout.n_x), sizes, layout.n_x, price)
             largest[y, t] = 0
-        largest[first_row, t] = sizes.max()
+        for size in sizes:
+            largest[first_row, t] = max(largest[first_row, t], size)
 
 
 @numba.njit(**FINITE)
@@ -177,7 +178,8 @@ def changed_states(marks, marks_before, score_marks, moves, segment, layout, fir
             for t in range(moves.shape[0]):
                 row = y + moves[t, v, 1]
                 if 0 <= row < n_y and score_marks[t, row]:
-                    met |= _shifted_blocks(score_marks[t, row], moves[t, v, 0], layout.block)
+                    met |= _shifted_blocks(score_marks[t, row], np.int64(moves[t, v, 0]),
+                                           layout.block)
             marks[y, v] |= met & all_blocks
 
 

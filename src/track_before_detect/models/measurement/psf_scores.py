@@ -114,7 +114,9 @@ class PsfScores(Scores):
         if np.iscomplexobj(frames):
             real, imaginary = frames.real.copy(), frames.imag.copy()
         else:
-            real, imaginary = frames, np.empty((n_frames, 0, 0), np.float32)
+            real, imaginary = frames.view(), np.empty((n_frames, 0, 0), np.float32)
+        # Arrays that may be written are another type: the loop would be compiled for both.
+        real.flags.writeable = imaginary.flags.writeable = False
 
         def fill(first: int, last: int) -> None:
             for t in range(n_frames):
@@ -135,6 +137,8 @@ class PsfScores(Scores):
         taps = np.array([self._taps[c] * self._taps[d] for c, d in pairs])
         taps[:, 0] *= np.array([1.0 if c == d else 2.0 for c, d in pairs])[:, None, None]
         shares = np.empty((len(squared_weights), *self.grid_shape), np.float32)
+        # Of the type of the frames in ``_fill``.
+        squared_weights.flags.writeable = False
 
         def fill(first: int, last: int) -> None:
             for share, weights in zip(shares, squared_weights, strict=True):

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from track_before_detect.atomic_files import atomic_path
+from track_before_detect.kernels.compiled_cache import user_cache_folder
 from track_before_detect.parallel import map_in_threads
 from track_before_detect.solvers.calibration.noise_study import CROP_PX, NoiseStudy
 from track_before_detect.types import Progress
@@ -202,9 +203,8 @@ def _key(study: NoiseStudy, crop: tuple[int, int]) -> str:
 
 
 def _cache_folder() -> Path:
-    base = os.environ.get('XDG_CACHE_HOME')
     try:
-        return Path(base or Path.home() / '.cache') / 'track_before_detect'
+        return user_cache_folder()
     except RuntimeError:
         # A user of a container may have no home at all.
         return Path(tempfile.gettempdir()) / f'track_before_detect-{os.getuid()}'

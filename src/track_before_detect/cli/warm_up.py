@@ -1,0 +1,57 @@
+"""``tbd warm-up``: compile the loops ahead, for all later commands and nodes."""
+
+from argparse import Namespace
+import sys
+import time
+from typing import Any
+
+from track_before_detect.cli.console import FOUND, Progress
+from track_before_detect.errors import named
+from track_before_detect.options import DetectorOptions, DETECTORS
+from track_before_detect.parallel import map_in_threads
+
+_EXAMPLES = """\
+examples:
+  what tbd detect and the node need without options:
+    tbd warm-up
+  every detector, amplitude, presence and sensor:
+    tbd warm-up everything
+"""
+# Searches that together need every loop that the command and the node may.
+_EVERYTHING: tuple[dict[str, Any], ...] = (
+    {}, {'presence': 'partial'}, {'exposure_s': 0.5}, {'amplitudes': 'complex'},
+    {'amplitudes': 'complex', 'amplitude_model': 'constant'},
+    {'amplitude_model': 'constant'}, *({'detector': name} for name in DETECTORS[1:]))
+
+
+def add_parser(commands: Any) -> None:
+    """Add the command to the subparsers of ``tbd``."""
+    parser = commands.add_parser(
+        'warm-up', help='compile the loops ahead', epilog=_EXAMPLES,
+        description='Compile the loops of a search now, which otherwise the first search does. '
+        "They are kept\nfor all installations of this version, in the user's cache or in "
+        'NUMBA_CACHE_DIR, until the\nsources, numba or numpy change.')
+    parser.set_defaults(run=run)
+    parser.add_argument('what', metavar='WHAT', nargs='?', default='default',
+                        help='default (default), everything, or the name of a detector')
+
+
+def run(arguments: Namespace) -> int:
+    """Compile and say what took how long; return the exit code."""
+    searches = named('set of loops', arguments.what, {
+        'default': ({},), 'everything': _EVERYTHING,
+        **{name: ({'detector': name},) for name in DETECTORS}})
+    # Compiled loops take a second to load; errors need not wait for them.
+    from track_before_detect.tracking.pipeline import TrackingPipeline
+
+    started = time.perf_counter()
+    with Progress(sys.stderr, every=True) as progress:
+
+        def compile_all(searches: tuple[dict[str, Any], ...]) -> None:
+            for search in searches:
+                TrackingPipeline(DetectorOptions(**search)).compile(progress)
+
+        # In a thread of its own, which an interrupt does not wait for.
+        map_in_threads(compile_all, [searches], progress.show_time)
+    print(f'ready in {time.perf_counter() - started:.1f} s')
+    return FOUND
