@@ -28,3 +28,12 @@ def test_what_lies_behind_the_horizon_is_nowhere():
     matrix = np.array([[1.0, 0, 0], [0, 1, 0], [-0.1, 0, 1]])
     assert np.isnan(geometry.apply(matrix, np.array([[10.0, 1], [20, 1]]))).all()
     assert np.isfinite(geometry.apply(matrix, np.array([9.0, 1]))).all()
+
+
+def test_a_translation_is_told_from_other_maps():
+    assert all(geometry.is_translation(one)
+               for one in geometry.translations(np.array([(0.0, 0.0), (3.5, -2)])))
+    for row, column, value in ((0, 0, 1.001), (1, 0, 0.001), (2, 1, 1e-9), (2, 2, 2.0)):
+        other = np.eye(3)
+        other[row, column] = value
+        assert not geometry.is_translation(other)

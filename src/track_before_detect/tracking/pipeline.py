@@ -14,8 +14,8 @@ from track_before_detect.checks import checked_stamps
 from track_before_detect.errors import DataError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
-from track_before_detect.preprocess.prepare import prepare, PreparedBatch
-from track_before_detect.preprocess.registration import Registration
+from track_before_detect.preprocess.per_frame import KeptFrames
+from track_before_detect.preprocess.prepare import noise_of_one, pictures, PreparedBatch
 from track_before_detect.preprocess.robust import median_deviation
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
@@ -36,6 +36,7 @@ from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
+from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.remarks import Remarks
 from track_before_detect.tracking.stitcher import Stitcher
@@ -120,6 +121,8 @@ class TrackingPipeline:
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []
         self._remarks = Remarks()
+        length, hop = options.batch_length or 0, options.hop
+        self._kept = KeptFrames(max(length - (hop or hop_of(length)), 0))
         self._scale_is_known = False
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
@@ -191,11 +194,9 @@ class TrackingPipeline:
             in the batches before.
         """
         _check(batch)
-        registration = None
-        results = []
-        for background in self._backgrounds:
-            result, registration = self._search(batch, background, registration, progress)
-            results.append(result)
+        seen = pictures(batch, self._options, psf_of(self._options).width_px, self._kept)
+        results = [self._search(batch, seen, background, progress)
+                   for background in self._backgrounds]
         found = [trajectory for result in results for trajectory in result.trajectories]
         rejected = [trajectory for result in results for trajectory in result.rejected]
         if len(results) > 1:
@@ -215,14 +216,14 @@ class TrackingPipeline:
         return self._stitcher.carried_on(
             known, [trajectory for trajectory in weaker if trajectory.reason in MAY_CARRY_ON])
 
-    def _search(self, batch: FrameBatch, background: str, registration: Registration | None,
-                progress: Progress | None) -> tuple[DetectionResult, Registration | None]:
-        """Find the trajectories beside one background, without ids, and the registration."""
+    def _search(self, batch: FrameBatch, seen: PreparedBatch, background: str,
+                progress: Progress | None) -> DetectionResult:
+        """Find the trajectories beside one background, without ids."""
         options = self._options.replace(background=background)
-        prepared = prepare(batch, options, psf_of(options).width_px, registration)
+        prepared = noise_of_one(seen, batch, options, psf_of(options).width_px, self._kept)
         remarks = self._remarks.new(prepared.remarks)
         if not np.isfinite(prepared.frames).any():
-            return DetectionResult([], 0.0, remarks=remarks), prepared.registration
+            return DetectionResult([], 0.0, remarks=remarks)
         middle = prepared.frames[len(batch) // 2]
         self._check_scale(middle)
         earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
@@ -243,8 +244,7 @@ class TrackingPipeline:
                      f'not searched: {self._what_to_set(middle)}')
             remarks += self._remarks.new([Remark('not_noise', words)])
         return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
-                               result.best_statistic, rejected=rejected,
-                               remarks=remarks), prepared.registration
+                               result.best_statistic, rejected=rejected, remarks=remarks)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
