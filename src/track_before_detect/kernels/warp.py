@@ -108,10 +108,10 @@ def shift(image, x, y, out):
     lines, held = np.empty((4, end - first)), np.full(4, -1)
     total = np.empty(end - first)
     for row in range(out.shape[0]):
-        out[row] = np.nan
+        _fill(out[row], np.nan)
         if not -0.5 <= row + y <= height - 0.5:
             continue
-        total[:] = 0.0
+        _fill(total, 0.0)
         for i in range(4):
             if weight_y[i] == 0.0:
                 continue
@@ -128,7 +128,7 @@ def shift(image, x, y, out):
 @numba.njit(**EXACT)
 def _shift_row(row, start, weight, line):
     """Write to line[n] the row interpolated between its pixels from ``start + n`` on."""
-    line[:] = 0.0
+    _fill(line, 0.0)
     for k in range(4):
         if weight[k] != 0.0:
             begin = start + k
@@ -139,6 +139,12 @@ def _shift_row(row, start, weight, line):
             _add(row[begin + a:begin + b], weight[k], line[a:b])
             for n in range(b, line.size):
                 line[n] += weight[k] * row[row.size - 1]
+
+
+@numba.njit(**EXACT)
+def _fill(row, value):
+    for n in range(row.size):
+        row[n] = value
 
 
 @numba.njit(**EXACT)

@@ -366,7 +366,7 @@ def _without_shading(prepared: PreparedBatch, width_px: float, kept: KeptFrames)
 
 def _divided(prepared: PreparedBatch, level: NDArray) -> PreparedBatch:
     """Return a batch in units of a level, which broadcasts to its frames."""
-    level = level.astype(np.float32)
+    level = level.astype(np.float32, copy=False)
     frames = np.empty_like(prepared.frames)
 
     def divide(frame: NDArray, divisor: NDArray, out: NDArray) -> None:
@@ -408,8 +408,12 @@ def _with_white_scale(prepared: PreparedBatch, width_px: float) -> PreparedBatch
     """Return a batch whose matched filter has unit noise; that of complex frames is white."""
     if np.iscomplexobj(prepared.frames):
         return prepared
-    factor = coloured_noise_factor(prepared.frames, width_px)
-    return prepared if factor == 1 else _divided(prepared, np.full((1, 1, 1), factor))
+    factor = np.float32(coloured_noise_factor(prepared.frames, width_px))
+    if factor != 1:
+        # In place: what is divided by the noise is an array of this stage.
+        each_frame(lambda frame: np.divide(frame, factor, out=frame), prepared.frames)
+        prepared.noise_level[...] *= factor
+    return prepared
 
 
 def _weighted(prepared: PreparedBatch) -> PreparedBatch:

@@ -131,7 +131,7 @@ def _correlate(fixed: NDArray, moving: NDArray,
     """
     a, b = _overlap(fixed, moving, guess)
     rows, columns = a.shape
-    taper = np.outer(_taper(rows), _taper(columns)).astype(np.float32)
+    taper = np.outer(_taper(rows), _taper(columns))
     shape = fft.next_fast_len(rows, real=True), fft.next_fast_len(columns, real=True)
     spectrum = np.conj(fft.rfft2(a * taper, shape)) * fft.rfft2(b * taper, shape)
     spectrum *= _low_pass(shape) / np.maximum(np.abs(spectrum), 1e-12) ** _WHITENING
@@ -176,10 +176,10 @@ def _low_pass(shape: tuple[int, int]) -> NDArray[np.float32]:
     return np.outer(along_y, along_x).astype(np.float32)
 
 
-def _taper(length: int) -> NDArray[np.float64]:
+def _taper(length: int) -> NDArray[np.float32]:
     """Return a window of ones with raised-cosine ends."""
     ramp = max(1, int(_TAPER * length))
-    window = np.ones(length)
+    window = np.ones(length, np.float32)
     window[:ramp] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)
     window[length - ramp:] = window[:ramp][::-1]
     return window

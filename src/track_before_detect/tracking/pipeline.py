@@ -174,8 +174,20 @@ class TrackingPipeline:
         frames[:, 0, 0] = np.nan
         for detector in detectors:
             detector.detect(batch)
+        self._prepare_once(options, frames.dtype)
         if progress is not None:
             progress('compiling', 1.0)
+
+    def _prepare_once(self, options: DetectorOptions, kind: np.dtype) -> None:
+        """Run every kernel of preprocessing, on a scene that moves by a pixel per frame."""
+        rng = np.random.default_rng(0)
+        scene = rng.normal(100, 10, (48, 56))
+        frames = np.stack([scene[:, t:t + 48] + rng.normal(size=(48, 48)) for t in range(8)])
+        batch = FrameBatch.of(frames.astype(kind), np.arange(8.0))
+        seen = pictures(batch, options, options.psf_sigma_px)
+        for background in self._backgrounds:
+            noise_of_one(seen, batch, options.replace(background=background),
+                         options.psf_sigma_px)
 
     def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of a batch.

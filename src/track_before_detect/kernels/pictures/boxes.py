@@ -10,7 +10,7 @@ import math
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import EXACT
+from track_before_detect.kernels.compile_flags import EXACT, UNCHECKED
 
 
 @numba.njit(**EXACT)
@@ -26,8 +26,9 @@ def box_mean(image, side, out):
     for i in range(-reach, reach + 1):
         _add(image[min(max(i, 0), height - 1)], 1.0, inner)
     for row in range(height):
-        columns[:reach] = inner[0]
-        columns[reach + width:] = inner[width - 1]
+        for i in range(reach):
+            columns[i] = inner[0]
+            columns[reach + width + i] = inner[width - 1]
         _running_mean(columns, side, 1.0 / (side * side), out[row])
         _add(image[min(row + reach + 1, height - 1)], 1.0, inner)
         _add(image[max(row - reach, 0)], -1.0, inner)
@@ -42,19 +43,24 @@ def ring_level(image, inner, outer, least, out):
     """
     height, width = image.shape
     # Squares and numbers of known pixels of each column, in the inner and in the outer square.
-    columns = np.zeros((4, width + 2 * (outer // 2)))
-    for i in range(min(outer // 2, height)):
-        _add_known(image[i], 1.0, columns[2:], outer // 2)
-    for i in range(min(inner // 2, height)):
-        _add_known(image[i], 1.0, columns[:2], outer // 2)
+    far, near = outer // 2, inner // 2
+    columns, sums = np.zeros((4, width + 2 * far)), np.empty((2, width))
+    for i in range(min(far, height)):
+        _add_known(image[i], 1.0, columns[2], columns[3], far)
+    for i in range(min(near, height)):
+        _add_known(image[i], 1.0, columns[0], columns[1], far)
     for row in range(height):
-        for first, side in ((0, inner), (2, outer)):
-            reach = side // 2
-            if row + reach < height:
-                _add_known(image[row + reach], 1.0, columns[first:first + 2], outer // 2)
-            if row > reach:
-                _add_known(image[row - reach - 1], -1.0, columns[first:first + 2], outer // 2)
-        _ring_row(columns, inner, outer, least, out[row])
+        if row + far < height:
+            _add_known(image[row + far], 1.0, columns[2], columns[3], far)
+        if row > far:
+            _add_known(image[row - far - 1], -1.0, columns[2], columns[3], far)
+        if row + near < height:
+            _add_known(image[row + near], 1.0, columns[0], columns[1], far)
+        if row > near:
+            _add_known(image[row - near - 1], -1.0, columns[0], columns[1], far)
+        for of in range(2):
+            _running_ring(columns[of], columns[2 + of], near, far, sums[of])
+        _write_levels(sums[0], sums[1], least, out[row])
 
 
 @numba.njit(**EXACT)
@@ -69,27 +75,24 @@ def _running_mean(columns, side, share, out):
 
 
 @numba.njit(**EXACT)
-def _ring_row(columns, inner, outer, least, out):
-    beside = outer // 2 - inner // 2
-    power = count = power_inside = count_inside = 0.0
-    for i in range(outer - 1):
-        power += columns[2, i]
-        count += columns[3, i]
-    for i in range(beside, beside + inner - 1):
-        power_inside += columns[0, i]
-        count_inside += columns[1, i]
+def _running_ring(inner, outer, near, far, out):
+    """Write the sums over the outer columns around each less those over the inner ones."""
+    total = 0.0
+    for i in range(2 * far):
+        total += outer[i]
+    for i in range(far - near, far + near):
+        total -= inner[i]
     for i in range(out.size):
-        power += columns[2, i + outer - 1]
-        count += columns[3, i + outer - 1]
-        power_inside += columns[0, i + beside + inner - 1]
-        count_inside += columns[1, i + beside + inner - 1]
+        total += outer[i + 2 * far] - inner[i + far + near]
+        out[i] = total
+        total -= outer[i] - inner[i + far - near]
+
+
+@numba.njit(**UNCHECKED)
+def _write_levels(power, count, least, out):
+    for i in range(out.size):
         # The running sums may end a rounding error below 0.
-        mean = max(power - power_inside, 0.0) / max(count - count_inside, 1.0)
-        out[i] = max(math.sqrt(mean), least)
-        power -= columns[2, i]
-        count -= columns[3, i]
-        power_inside -= columns[0, i + beside]
-        count_inside -= columns[1, i + beside]
+        out[i] = max(math.sqrt(max(power[i], 0.0) / max(count[i], 1.0)), least)
 
 
 @numba.njit(**EXACT)
@@ -99,10 +102,10 @@ def _add(row, weight, total):
 
 
 @numba.njit(**EXACT)
-def _add_known(row, weight, columns, start):
+def _add_known(row, weight, squares, counts, start):
     """Add squares and number of the pixels of a row that are known, from column ``start`` on."""
     for i in range(row.size):
         known = abs(row[i]) < np.inf
-        value = row[i] if known else 0.0
-        columns[0, start + i] += weight * (float(value) * float(value))
-        columns[1, start + i] += weight if known else 0.0
+        value = float(row[i]) if known else 0.0
+        squares[start + i] += weight * (value * value)
+        counts[start + i] += weight if known else 0.0

@@ -11,7 +11,7 @@ import math
 import numba
 import numpy as np
 
-from track_before_detect.kernels.compile_flags import REORDERED_UNCHECKED
+from track_before_detect.kernels.compile_flags import EXACT, REORDERED_UNCHECKED
 
 
 @numba.njit(**REORDERED_UNCHECKED)
@@ -19,31 +19,44 @@ def matched_statistic(image, profile, out):
     """Write what the filter says, of unit variance where noise is white; NaN where masked."""
     height, width = image.shape
     reach = profile.size // 2
-    kind = image.dtype.type
-    squares = profile * profile
-    known = np.isfinite(image)
-    values = np.where(known, image, kind(0))
-    columns = np.zeros((2, width + 2 * reach), image.dtype)
-    inner = columns[:, reach:reach + width]
+    values, known = np.empty_like(image), np.empty_like(image)
+    for row in range(height):
+        _split(image[row], values[row], known[row])
+    # Of each column, and beyond the border: the sums over the rows of the filter.
+    signals, powers = np.zeros(width + 2 * reach, image.dtype), np.zeros(
+        width + 2 * reach, image.dtype)
     signal, power = np.empty(width, image.dtype), np.empty(width, image.dtype)
     for row in range(height):
-        inner[:] = kind(0)
+        first, end = max(row - reach, 0), min(row + reach + 1, height)
+        _filter(values[first], profile[first - row + reach], True, signals[reach:reach + width])
+        _filter(known[first], profile[first - row + reach]**2, True, powers[reach:reach + width])
+        for source in range(first + 1, end):
+            weight = profile[source - row + reach]
+            _filter(values[source], weight, False, signals[reach:reach + width])
+            _filter(known[source], weight**2, False, powers[reach:reach + width])
         for k in range(profile.size):
-            source = row + k - reach
-            if 0 <= source < height:
-                _add(values[source], profile[k], inner[0])
-                _add(known[source], squares[k], inner[1])
-        signal[:] = kind(0)
-        power[:] = kind(0)
-        for k in range(profile.size):
-            _add(columns[0, k:k + width], profile[k], signal)
-            _add(columns[1, k:k + width], squares[k], power)
+            _filter(signals[k:k + width], profile[k], k == 0, signal)
+            _filter(powers[k:k + width], profile[k]**2, k == 0, power)
         for i in range(width):
             # A known pixel has a share in its own power.
-            out[row, i] = signal[i] / math.sqrt(power[i]) if known[row, i] else np.nan
+            out[row, i] = signal[i] / math.sqrt(power[i]) if known[row, i] > 0 else np.nan
+
+
+@numba.njit(**EXACT)
+def _split(row, values, known):
+    """Write the pixels of a row, 0 where masked, and 1 where they are known."""
+    for i in range(row.size):
+        is_known = abs(row[i]) < np.inf
+        values[i] = row[i] if is_known else 0.0
+        known[i] = 1.0 if is_known else 0.0
 
 
 @numba.njit(**REORDERED_UNCHECKED)
-def _add(row, weight, total):
-    for i in range(total.size):
-        total[i] += weight * row[i]
+def _filter(row, weight, is_first, total):
+    """Add a row to the total, or begin with it."""
+    if is_first:
+        for i in range(total.size):
+            total[i] = weight * row[i]
+    else:
+        for i in range(total.size):
+            total[i] += weight * row[i]

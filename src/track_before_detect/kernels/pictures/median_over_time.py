@@ -25,10 +25,9 @@ def median_over_time(frames, least, out):
     """Write the median of the finite values of each pixel."""
     n_frames, n_pixels = frames.shape
     values = np.empty((n_frames, BLOCK), frames.dtype)
-    count = np.empty(BLOCK, np.int64)
     for first in range(0, n_pixels, BLOCK):
         size = min(BLOCK, n_pixels - first)
-        count[:] = 0
+        count = np.zeros(BLOCK, np.int64)
         for t in range(n_frames):
             _take(frames[t, first:first + size], values[t], count)
         _sort(values, size)
