@@ -17,8 +17,6 @@ from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
 from track_before_detect.evaluation.benchmarks.own_process import in_own_process, peak_memory
 from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
 from track_before_detect.evaluation.engine.tables import aligned
-from track_before_detect.kernels import warp
-from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.per_frame import KeptFrames
 from track_before_detect.preprocess.prepare import noise_of_one, pictures, PreparedBatch
@@ -61,9 +59,8 @@ def panning(scene: Scene, n_frames: int) -> NDArray[np.uint16]:
             rng.standard_normal(texture.shape, np.float32), scale)
         texture += deviation / layer.std() * layer
     frames = np.empty((n_frames, scene.height, scene.width), np.uint16)
-    picture = np.empty(frames.shape[1:], np.float32)
     for t, (x, y) in enumerate(offsets.tolist()):
-        warp.shift(texture, x, y, picture)
+        picture = ndimage.affine_transform(texture, np.ones(2), (y, x), frames.shape[1:], order=1)
         picture += LEVEL + NOISE * rng.standard_normal(picture.shape, np.float32)
         add_target(picture, 0.4 * scene.width + SPEED[0] * t, 0.5 * scene.height + SPEED[1] * t,
                    PSF_SIGMA_PX, TARGET)
@@ -76,7 +73,7 @@ class _Preprocessing:
 
     def __init__(self, options: DetectorOptions):
         self._options = options
-        self._width_px = psf_of(options).width_px
+        self._width_px = options.psf_sigma_px
         assert options.batch_length and options.hop
         self._kept = KeptFrames(options.batch_length - options.hop)
         self._seen: PreparedBatch | None = None
