@@ -39,3 +39,12 @@ def test_slopes_are_the_derivatives_of_a_map(changes, x, y):
         matrix, place - step * axis)) / (2 * step) for axis in np.eye(2)]
     np.testing.assert_allclose(geometry.slopes(matrix[None], place)[0], np.vstack(moved).T,
                                atol=1e-5)
+
+
+def test_a_translation_is_told_from_other_maps():
+    assert all(geometry.is_translation(one)
+               for one in geometry.translations(np.array([(0.0, 0.0), (3.5, -2)])))
+    for row, column, value in ((0, 0, 1.001), (1, 0, 0.001), (2, 1, 1e-9), (2, 2, 2.0)):
+        other = np.eye(3)
+        other[row, column] = value
+        assert not geometry.is_translation(other)

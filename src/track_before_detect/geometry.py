@@ -25,6 +25,11 @@ def translations(offsets: NDArray) -> NDArray[np.float64]:
     return maps
 
 
+def is_translation(matrix: NDArray) -> bool:
+    """Return whether a map (3, 3) adds an offset, and does nothing else."""
+    return bool(np.array_equal(matrix[:, :2], np.eye(3, 2)) and matrix[2, 2] == 1)
+
+
 def inverse(maps: NDArray) -> NDArray[np.float64]:
     """Return the maps back, shape (..., 3, 3)."""
     back = np.linalg.inv(maps)

@@ -13,7 +13,8 @@ from scipy import ndimage
 from track_before_detect import geometry
 from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.preprocess.prepare import prepare
+from track_before_detect.preprocess.per_frame import KeptFrames
+from track_before_detect.preprocess.prepare import noise_of_one, pictures, prepare
 from track_before_detect.types import FrameBatch
 
 REGISTRATIONS = ('none', 'translation', 'affine', 'homography')
@@ -268,3 +269,31 @@ def test_search_on_the_image_needs_no_registration_for_a_spatial_background(capl
     assert not caplog.records
     np.testing.assert_array_equal(prepared.maps, np.tile(np.eye(3), (5, 1, 1)))
     assert np.nanstd(prepared.frames) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize('noise', ['local', 'robust'])
+def test_overlapping_batches_are_prepared_in_two_stages_as_each_is_alone(noise):
+    rng = np.random.default_rng(7)
+    ground = ndimage.gaussian_filter(rng.normal(size=(60, 110)), 2) * 400 + 1000
+    recording = np.array([ground[:, t:t + 80] + rng.normal(size=(60, 80)) for t in range(24)])
+    recording[10] = 0
+    recording = np.rint(recording).astype(np.uint16)
+    options = DetectorOptions.from_mapping({
+        'bad_frames': 'find', 'bad_pixels': 'find', 'registration': 'translation',
+        'search_plane': 'image', 'noise': noise})
+    kept = KeptFrames(8)
+    for first in (0, 8):
+        at = np.arange(first, first + 16)
+        batch = FrameBatch(recording[at], at.astype(float), at)
+        seen = pictures(batch, options, 1.5, kept)
+        before = seen.frames.copy()
+        for background in ('spatial_median', 'temporal_median'):
+            chosen = options.replace(background=background)
+            found = noise_of_one(seen, batch, chosen, 1.5, kept)
+            alone = prepare(batch, chosen, 1.5)
+            assert np.isnan(found.frames[10 - first]).all()
+            np.testing.assert_array_equal(found.frames, alone.frames)
+            np.testing.assert_array_equal(found.noise_level, alone.noise_level)
+            np.testing.assert_array_equal(found.scene, alone.scene)
+            assert found.remarks == alone.remarks
+        np.testing.assert_array_equal(seen.frames, before)

@@ -12,6 +12,7 @@ _EXAMPLES = """\
 examples:
   tbd bench convex --output bench.json
   tbd bench dp --output dp.json
+  tbd bench scene --large --output scene.json
   on one core only, where the system has taskset:
     taskset -c 0 tbd bench convex --output one_core.json
 """
@@ -27,8 +28,9 @@ def add_parser(commands: Any) -> None:
     parser.add_argument('bench', metavar='BENCH', nargs='?', default='convex',
                         help='what is measured: convex (default); dp, dynamic programming beside '
                         'plain NumPy; fit, amplitudes of thousands of given paths; parallel, '
-                        'target cancellation by direction; velocity_filter, beside plain NumPy; '
-                        'compilation, of the loops from nothing')
+                        'target cancellation by direction; scene, a panning camera with '
+                        'preset=auto; velocity_filter, beside plain NumPy; compilation, of the '
+                        'loops from nothing')
     parser.add_argument('--output', metavar='FILE.json', default='bench.json',
                         help='file to write (default: bench.json)')
     parser.add_argument('--repeats', metavar='R', type=int, default=7,

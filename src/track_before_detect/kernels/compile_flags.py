@@ -26,6 +26,9 @@ EXACT: dict[str, Any] = {'nogil': True, 'cache': True, 'no_cfunc_wrapper': True}
 # A division by zero gives infinity or NaN, as in NumPy, and is not checked for.
 UNCHECKED: dict[str, Any] = {**EXACT, 'error_model': 'numpy'}
 
+# Numbers may be infinite, but are numbers, and the sign of zero is no matter.
+NUMBERS: dict[str, Any] = {**EXACT, 'fastmath': {'nnan', 'nsz'}}
+
 _FINITE = {'nnan', 'ninf', 'nsz'}
 # Numbers are finite and the sign of zero is no matter; the order of operations stays as it is
 # written, so that equal sums are equal to the last bit.

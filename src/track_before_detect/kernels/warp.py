@@ -92,3 +92,62 @@ def warp(image, matrix, out):
                             source, min(max(int(left) + k - 1, 0), width - 1)]
                 value += weight_y[i] * total
             out[row, column] = value
+
+
+@numba.njit(**EXACT)
+def shift(image, x, y, out):
+    """Write to out[row, column] the image at (column + x, row + y), as :func:`warp` does."""
+    height, width = image.shape
+    left, top = int(math.floor(x)), int(math.floor(y))
+    weight_x, weight_y, slope = np.empty(4), np.empty(4), np.empty(4)
+    _weights(x - left, weight_x, slope)
+    _weights(y - top, weight_y, slope)
+    first = min(max(int(math.ceil(-0.5 - x)), 0), out.shape[1])
+    end = max(min(int(math.floor(width - 0.5 - x)) + 1, out.shape[1]), first)
+    # Of the rows of the image, the last four interpolated along x.
+    lines, held = np.empty((4, end - first)), np.full(4, -1)
+    total = np.empty(end - first)
+    for row in range(out.shape[0]):
+        _fill(out[row], np.nan)
+        if not -0.5 <= row + y <= height - 0.5:
+            continue
+        _fill(total, 0.0)
+        for i in range(4):
+            if weight_y[i] == 0.0:
+                continue
+            source = min(max(row + top + i - 1, 0), height - 1)
+            line = lines[source % 4]
+            if held[source % 4] != source:
+                held[source % 4] = source
+                _shift_row(image[source], first + left - 1, weight_x, line)
+            _add(line, weight_y[i], total)
+        for column in range(end - first):
+            out[row, first + column] = total[column]
+
+
+@numba.njit(**EXACT)
+def _shift_row(row, start, weight, line):
+    """Write to line[n] the row interpolated between its pixels from ``start + n`` on."""
+    _fill(line, 0.0)
+    for k in range(4):
+        if weight[k] != 0.0:
+            begin = start + k
+            a = min(max(-begin, 0), line.size)
+            b = min(max(row.size - begin, a), line.size)
+            for n in range(a):
+                line[n] += weight[k] * row[0]
+            _add(row[begin + a:begin + b], weight[k], line[a:b])
+            for n in range(b, line.size):
+                line[n] += weight[k] * row[row.size - 1]
+
+
+@numba.njit(**EXACT)
+def _fill(row, value):
+    for n in range(row.size):
+        row[n] = value
+
+
+@numba.njit(**EXACT)
+def _add(values, weight, total):
+    for n in range(total.size):
+        total[n] += weight * values[n]

@@ -5,8 +5,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from track_before_detect import geometry
+from track_before_detect.kernels.pictures.median_over_time import median_over_time
+from track_before_detect.preprocess.per_frame import each_frame, shown
 from track_before_detect.preprocess.resampling import warped, warped_frames
-from track_before_detect.preprocess.robust import robust_deviation
+from track_before_detect.preprocess.robust import median, robust_deviation
 
 _LEAST_SHARE = 1 / 3  # of the frames must show a pixel, or nothing is known about it
 _MOST_PIXELS = 20_000  # of a frame that tell its gain
@@ -32,24 +34,17 @@ def temporal_median(frames: NDArray) -> NDArray:
     array, shape (H, W)
         The median, NaN where fewer than a third of the frames that show anything are finite.
     """
-    return _sorted_median(np.moveaxis(frames[_shown(frames)], 0, -1), _LEAST_SHARE)
+    with_data = shown(frames)
+    return _median_over_first(frames if with_data.all() else frames[with_data], _LEAST_SHARE)
 
 
-def _sorted_median(values: NDArray, least_share: float = 0.0) -> NDArray:
-    """Return the median over the last axis, NaN where too small a share is finite."""
-    ordered = np.array(values, order='C')
-    ordered[~np.isfinite(ordered)] = np.nan
-    # NaN sorts behind every number
-    ordered.sort(axis=-1)
-    size = ordered.shape[-1]
-    count = size - np.isnan(ordered).sum(axis=-1)
-    if np.all(count == size):
-        return 0.5 * (ordered[..., (size - 1) // 2] + ordered[..., size // 2])
-    low = np.take_along_axis(ordered, np.maximum(count - 1, 0)[..., None] // 2, axis=-1)
-    high = np.take_along_axis(ordered, count[..., None] // 2, axis=-1)
-    median = 0.5 * (low + high)[..., 0]
-    median[count < max(least_share * size, 1)] = np.nan
-    return median
+def _median_over_first(values: NDArray, least_share: float = 0.0) -> NDArray:
+    """Return the median over the first axis, NaN where too small a share is finite."""
+    size = len(values)
+    middle = np.empty(values.shape[1:], values.dtype)
+    median_over_time(np.ascontiguousarray(values).reshape(size, middle.size),
+                     max(least_share * size, 1.0), middle.reshape(-1))
+    return middle
 
 
 def remove_temporal_median(frames: NDArray, maps: NDArray) -> NDArray:
@@ -71,23 +66,29 @@ def remove_temporal_median(frames: NDArray, maps: NDArray) -> NDArray:
     array, shape (T, H, W)
         Frames without background, NaN where masked or where the background is not known.
     """
-    aligned = warped_frames(frames, maps)
-    numbers = _shown(aligned)
-    reference = aligned[numbers[len(numbers) // 2] if len(numbers) else 0]
-    for frame in aligned:
-        frame -= _level(frame - reference)
-    background = temporal_median(aligned)
-    gains = _gains(aligned, background)
+    residual = warped_frames(frames, maps)
+    numbers = np.flatnonzero(shown(residual))
+    reference = _part(residual[numbers[len(numbers) // 2] if len(numbers) else 0])
+
+    def bring_to_one_level(frame: NDArray) -> None:
+        frame -= _level(_part(frame) - reference)
+
+    def bring_to_one_gain(frame: NDArray, gain: np.floating) -> None:
+        frame -= _level(_part(frame) - gain * _part(background))
+        frame /= gain
+
+    def leave(rest: NDArray, frame: NDArray, gain: np.floating, matrix: NDArray) -> None:
+        np.subtract(frame, gain * warped(background, matrix), out=rest)
+        rest -= _level(_part(rest))
+
+    each_frame(bring_to_one_level, residual)
+    background = temporal_median(residual)
+    gains = _gains(residual, background)
     if np.any(gains != 1):
-        for frame, gain in zip(aligned, gains, strict=True):
-            frame -= _level(frame - gain * background)
-            frame /= gain
-        background = temporal_median(aligned)
-    residual = np.empty_like(frames)
-    back = geometry.inverse(maps)
-    for index, frame in enumerate(frames):
-        residual[index] = frame - gains[index] * warped(background, back[index])
-        residual[index] -= _level(residual[index])
+        each_frame(bring_to_one_gain, residual, gains)
+        background = temporal_median(residual)
+    # The frames on the plane are done with.
+    each_frame(leave, residual, frames, gains, geometry.inverse(maps))
     return residual
 
 
@@ -95,7 +96,7 @@ def _gains(frames: NDArray, background: NDArray) -> NDArray[np.float32]:
     """Return the gain of each frame beside the usual one, 1 where it is not clearly another."""
     step = max(1, int(np.ceil(np.sqrt(background.size / _MOST_PIXELS))))
     scene, part = background[::step, ::step], frames[:, ::step, ::step]
-    slopes, errors, noises = np.array([_slope(frame, scene) for frame in part]).T
+    slopes, errors, noises = np.array(each_frame(lambda frame: _slope(frame, scene), part)).T
     usual = np.nanmedian(slopes) if np.isfinite(slopes).any() else 1.0
     if not usual > 0:
         return np.ones(len(frames), dtype=np.float32)
@@ -115,8 +116,8 @@ def _slope(frame: NDArray, scene: NDArray) -> tuple[float, float, float]:
     known = np.isfinite(frame) & np.isfinite(scene)
     if not known.any():
         return np.nan, np.nan, np.nan
-    x = np.where(known, scene - np.median(scene[known]), 0.0).astype(np.float64)
-    y = np.where(known, frame - np.median(frame[known]), 0.0).astype(np.float64)
+    x = np.where(known, scene - median(scene[known]), 0.0).astype(np.float64)
+    y = np.where(known, frame - median(frame[known]), 0.0).astype(np.float64)
     used, slope, noise = known, 0.0, 0.0
     for _ in range(_ROUNDS):
         power = np.sum(x[used] ** 2)
@@ -130,13 +131,8 @@ def _slope(frame: NDArray, scene: NDArray) -> tuple[float, float, float]:
     return slope, float(np.sqrt(np.sum(pulls ** 2)) / power), noise
 
 
-def _shown(frames: NDArray) -> NDArray[np.intp]:
-    """Return the numbers of the frames that hold any data."""
-    return np.flatnonzero(np.isfinite(frames).any(axis=(1, 2)))
-
-
-def remove_spatial_median(frames: NDArray, mesh_px: int) -> NDArray:
-    """Take slow changes over the image off each frame.
+def without_spatial_median(frame: NDArray, mesh_px: int) -> NDArray:
+    """Return a frame without slow changes over the image.
 
     The median of each cell of a mesh, interpolated between the centres of the cells. Of use
     after the temporal median when the camera pans under the shading of its lens, and alone when
@@ -144,39 +140,35 @@ def remove_spatial_median(frames: NDArray, mesh_px: int) -> NDArray:
 
     Parameters
     ----------
-    frames : array, shape (T, H, W)
-        Real frames, NaN where masked.
+    frame : array, shape (H, W)
+        Real, NaN where masked.
     mesh_px : int
         Side of a cell in pixels; a target must cover well under half of a cell.
 
     Returns
     -------
-    array, shape (T, H, W)
-        Frames without slow changes, NaN where masked.
+    array, shape (H, W)
+        NaN where masked.
     """
-    n_frames, height, width = frames.shape
+    height, width = frame.shape
     rows, columns = -(-height // mesh_px), -(-width // mesh_px)
-    padded = np.full((n_frames, rows * mesh_px, columns * mesh_px), np.nan, dtype=frames.dtype)
-    padded[:, :height, :width] = frames
-    cells = padded.reshape(n_frames, rows, mesh_px, columns, mesh_px)
-    cells = np.moveaxis(cells, 3, 2).reshape(n_frames, rows, columns, mesh_px * mesh_px)
-    along_y, along_x = _interpolation(height, mesh_px), _interpolation(width, mesh_px)
-    residual = np.empty_like(frames)
-    for index, frame in enumerate(frames):
-        mesh = _filled(_sorted_median(cells[index]))
-        residual[index] = frame - along_y @ mesh @ along_x.T
-    return residual
+    padded = np.full((rows * mesh_px, columns * mesh_px), np.nan, dtype=frame.dtype)
+    padded[:height, :width] = frame
+    cells = padded.reshape(rows, mesh_px, columns, mesh_px).transpose(1, 3, 0, 2)
+    mesh = _median_over_first(cells.reshape(mesh_px**2, rows, columns))
+    mesh = with_nearest(mesh, np.isnan(mesh))
+    slow = (_interpolation(height, mesh_px) @ mesh) @ _interpolation(width, mesh_px).T
+    return frame - slow
 
 
-def _filled(mesh: NDArray) -> NDArray:
-    """Return the mesh with every NaN replaced by the nearest number, or by 0 without any."""
-    missing = np.isnan(mesh)
+def with_nearest(image: NDArray, missing: NDArray[np.bool_]) -> NDArray:
+    """Return an image with the nearest value where one is missing, with 0 where all are."""
     if missing.all():
-        return np.zeros_like(mesh)
+        return np.zeros_like(image)
     if not missing.any():
-        return mesh
+        return image
     nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
-    return mesh[tuple(nearest)]
+    return image[tuple(nearest)]
 
 
 def _interpolation(length: int, mesh_px: int) -> NDArray[np.float32]:
@@ -189,9 +181,12 @@ def _interpolation(length: int, mesh_px: int) -> NDArray[np.float32]:
     return np.array(columns, dtype=np.float32).T
 
 
-def _level(difference: NDArray) -> np.floating:
+def _part(frame: NDArray) -> NDArray:
+    """Return a quarter of the pixels, which tells a median well enough."""
+    return frame[::2, ::2]
+
+
+def _level(values: NDArray) -> np.floating:
     """Return the median of the finite values, 0 without any."""
-    # a quarter of the pixels tells a median well enough
-    part = difference[::2, ::2]
-    finite = part[np.isfinite(part)]
-    return np.median(finite) if finite.size else difference.dtype.type(0)
+    finite = values[np.isfinite(values)]
+    return median(finite) if finite.size else values.dtype.type(0)

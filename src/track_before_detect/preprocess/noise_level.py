@@ -5,7 +5,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from track_before_detect import geometry
+from track_before_detect.kernels.pictures.boxes import ring_level
 from track_before_detect.preprocess.background import temporal_median
+from track_before_detect.preprocess.per_frame import each_frame
 from track_before_detect.preprocess.resampling import warped_frames
 from track_before_detect.preprocess.robust import MAD_TO_DEVIATION, robust_deviation
 
@@ -28,12 +30,12 @@ def frame_level(frames: NDArray, floor: float = 0.0) -> NDArray:
     array, shape (T, 1, 1)
         Standard deviation; NaN for a frame that is masked entirely.
     """
-    levels = [robust_deviation(frame, floor) for frame in frames]
+    levels = each_frame(lambda frame: robust_deviation(frame, floor), frames)
     return np.array(levels)[:, None, None]
 
 
-def local_level(frames: NDArray, floor: float, width_px: float) -> NDArray:
-    """Return the noise level around each pixel of each frame.
+def local_level(frame: NDArray, floor: float, width_px: float) -> NDArray:
+    """Return the noise level around each pixel of a frame.
 
     The larger of the level of the frame and the root mean square in a square ring around the
     pixel; the square inside it keeps a target from being scaled by itself. Leftovers of roofs and
@@ -41,36 +43,26 @@ def local_level(frames: NDArray, floor: float, width_px: float) -> NDArray:
 
     Parameters
     ----------
-    frames : array, shape (T, H, W)
-        Real frames without background, NaN where masked.
+    frame : array, shape (H, W)
+        Real, without background, NaN where masked.
     floor : float
-        Least level, in the units of ``frames``.
+        Least level, in the units of ``frame``.
     width_px : float
         Standard deviation of a target in pixels.
 
     Returns
     -------
-    array, shape (T, H, W)
+    float32 array, shape (H, W)
         Level; NaN for a frame that is masked entirely.
     """
-    sides = [2 * round(side * width_px) + 1 for side in _RING_WIDTHS]
-
-    def ring_sum(values: NDArray) -> NDArray:
-        inner, outer = (ndimage.uniform_filter(values, side, mode='constant')
-                        * np.float32(side * side) for side in sides)
-        return outer - inner
-
+    inner, outer = (2 * round(side * width_px) + 1 for side in _RING_WIDTHS)
     # A quarter of the pixels tells the level of a frame well enough.
-    whole = frame_level(frames[:, ::2, ::2], floor)
-    if np.isnan(whole).any():
-        whole = frame_level(frames, floor)
-    level = np.broadcast_to(whole, frames.shape).astype(np.float32)
-    everywhere = ring_sum(np.ones(frames.shape[1:], np.float32))
-    for frame, around in zip(frames, level, strict=True):
-        known = np.isfinite(frame)
-        count = everywhere if known.all() else ring_sum(known.astype(np.float32))
-        power = ring_sum(np.where(known, frame, 0.0).astype(np.float32) ** 2)
-        np.maximum(around, np.sqrt(np.maximum(power, 0) / np.maximum(count, 1)), out=around)
+    whole = robust_deviation(frame[::2, ::2], floor)
+    if np.isnan(whole):
+        whole = robust_deviation(frame, floor)
+    level = np.full(frame.shape, whole, np.float32)
+    if not np.isnan(whole):
+        ring_level(frame, inner, outer, whole, level)
     return level
 
 

@@ -11,8 +11,8 @@ from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.amplitude_scale import nearly_gaussian, recognised_scale
 from track_before_detect.preprocess.background import (
-    remove_spatial_median,
     remove_temporal_median,
+    without_spatial_median,
 )
 from track_before_detect.preprocess.faults.bad_pixels import bad_pixels
 from track_before_detect.preprocess.faults.frame_faults import (
@@ -27,7 +27,9 @@ from track_before_detect.preprocess.noise_level import (
     pixel_level,
     scene_level,
 )
-from track_before_detect.preprocess.registration import register, Registration
+from track_before_detect.preprocess.per_frame import each_frame, KeptFrames, shown
+from track_before_detect.preprocess.registration import register_features, Registration
+from track_before_detect.preprocess.registration_correlation import features_of
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
 from track_before_detect.types import FrameBatch, Remark
@@ -51,14 +53,14 @@ class PreparedBatch:
 
     Attributes
     ----------
-    frames : array of float32 or complex64, shape (T, H, W)
+    frames : float32 or complex64 array, shape (T, H, W)
         Pixel values, NaN where masked; after the last step in units of the noise standard
         deviation, on the registered plane.
     stamps : array, shape (T,)
         Seconds.
     frame_indices : array of int, shape (T,)
         Number of each frame in the recording.
-    noise_level : array, shape (T, 1, 1), (1, H, W), (T, H, W) or (1, 1, 1)
+    noise_level : float32 array, shape (T, 1, 1), (1, H, W), (T, H, W) or (1, 1, 1)
         Standard deviation of the noise in the units of the input, at the pixels of the frames as
         they came; NaN where masked.
     maps : array, shape (T, 3, 3)
@@ -75,6 +77,8 @@ class PreparedBatch:
         Frames at either end that show another scene, and are masked.
     registration : Registration or None
         Where the scene is in each frame as it came; None unless that was asked for.
+    scale : str
+        Which the pixels of ``frames`` were recognised to be on, or told.
     scene : array, shape (T, 3, 3), or None
         The maps of ``registration`` where ``frames`` are not moved by them: what follows them is
         a part of the scene, or of what registration left of it. None elsewhere.
@@ -83,22 +87,78 @@ class PreparedBatch:
     frames: NDArray
     stamps: NDArray[np.float64]
     frame_indices: NDArray[np.int64]
-    noise_level: NDArray[np.float64]
+    noise_level: NDArray[np.float32]
     maps: NDArray[np.float64]
     weights: NDArray[np.float32] | None = None
     unit: float = 1.0
     remarks: tuple[Remark, ...] = ()
     elsewhere: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(1, dtype=bool))
     registration: Registration | None = None
+    scale: str = 'linear'
     scene: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.frames)
 
 
-def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float,
-            registration: Registration | None = None) -> PreparedBatch:
+def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float) -> PreparedBatch:
     """Register frames, take off the background and scale the noise to one, each if asked for.
+
+    First :func:`pictures`, then :func:`noise_of_one`.
+
+    Parameters
+    ----------
+    batch : FrameBatch
+        Frames as they came; left as they are.
+    options : DetectorOptions
+        What is done, and what is known of the pixels.
+    width_px : float
+        Standard deviation in pixels of a target, as the point spread function has it.
+    """
+    return noise_of_one(pictures(batch, options, width_px), batch, options, width_px)
+
+
+def pictures(batch: FrameBatch, options: DetectorOptions, width_px: float,
+             kept: KeptFrames | None = None) -> PreparedBatch:
+    """Return what of a batch are pictures of its scene, and where that is: the first stage.
+
+    It is the same whatever background is taken off then.
+
+    Parameters
+    ----------
+    batch, options, width_px
+        See :func:`prepare`; of the options, ``mask``, ``bad_frames``, ``bad_pixels``,
+        ``frame_scale`` and ``registration``.
+    kept : KeptFrames, optional
+        Of the batch before.
+
+    Returns
+    -------
+    PreparedBatch
+        New arrays. All frames are NaN where too few of them turn out to be pictures.
+    """
+    kept = kept or KeptFrames()
+    prepared = _without_garbage(_in_single_precision(batch), MOST_VALUE, '')
+    _check_options(options, prepared)
+    if options.mask is not None:
+        prepared = _masked(prepared, masked_pixels(options.mask, batch))
+    if options.bad_frames == 'find':
+        prepared = _without_faulty_frames(prepared)
+        if np.sum(shown(prepared.frames)) < _least_frames(options)[0]:
+            return replace(prepared, frames=np.full_like(prepared.frames, _nan(prepared.frames)))
+    if options.bad_pixels == 'find':
+        prepared = _without_bad_pixels(prepared, width_px)
+    prepared = _nearly_gaussian(prepared, options.frame_scale)
+    if options.registration != 'none':
+        prepared = _registered(prepared, options.registration, kept)
+    elif options.bad_frames == 'find':
+        prepared, _ = _without_other_scenes(prepared)
+    return prepared
+
+
+def noise_of_one(seen: PreparedBatch, batch: FrameBatch, options: DetectorOptions,
+                 width_px: float, kept: KeptFrames | None = None) -> PreparedBatch:
+    """Take off the background and scale the noise to one: the second stage.
 
     All but the last step leaves every frame on its own grid, with its noise white. The last moves
     the frames onto the registered plane: after a translation by whole pixels; after any other map
@@ -108,55 +168,42 @@ def prepare(batch: FrameBatch, options: DetectorOptions, width_px: float,
 
     Parameters
     ----------
-    batch : FrameBatch
-        Frames as they came; left as they are.
-    options : DetectorOptions
-        ``bad_frames``, ``bad_pixels``, ``frame_scale``, ``registration``, ``background`` and
-        ``noise`` say what is done; ``variance`` and ``mask`` what is known of the pixels.
-    width_px : float
-        Standard deviation in pixels of a target, as the point spread function has it.
-    registration : Registration, optional
-        What an earlier call found of the same batch.
+    seen : PreparedBatch
+        What :func:`pictures` returns; left as it is.
+    batch, options, width_px
+        See :func:`prepare`; of the options, ``background``, ``noise``, ``search_plane`` and
+        ``variance``.
+    kept : KeptFrames, optional
+        Of the batch before, for the same background.
 
     Returns
     -------
     PreparedBatch
-        New arrays; where a step is not asked for, its part of the input is passed on. All frames
-        are NaN where too few of them turn out to be pictures.
+        Where a step is not asked for, its part of ``seen`` is passed on, and so is all of it where
+        no frame shows anything.
     """
-    prepared = _without_garbage(_in_single_precision(batch), MOST_VALUE, '')
-    _check_options(options, prepared)
-    if options.mask is not None:
-        prepared = _masked(prepared, masked_pixels(options.mask, batch))
-    if options.bad_frames == 'find':
-        prepared = _without_faulty_frames(prepared)
-        if _n_shown(prepared) < _least_frames(options)[0]:
-            return replace(prepared, frames=np.full_like(prepared.frames, _nan(prepared.frames)))
-    if options.bad_pixels == 'find':
-        prepared = _without_bad_pixels(prepared, width_px)
-    scale = options.frame_scale
-    if scale != 'linear':
-        prepared, scale = _nearly_gaussian(prepared, scale)
-    on_plane = options.registration != 'none' and options.search_plane == 'scene'
-    if options.registration != 'none':
-        prepared = _registered(prepared, options.registration, registration)
-    elif options.bad_frames == 'find':
-        prepared, _ = _without_other_scenes(prepared)
+    prepared = seen
+    if not shown(prepared.frames).any():
+        return prepared
     if options.background in _STILL_SCENE:
         prepared = _without_still_scene(prepared)
+        # No frame is again what it was in the batch before.
+        kept = None
+    kept = kept or KeptFrames()
     if options.background in ('spatial_median', 'temporal_spatial_median'):
-        prepared = _without_shading(prepared, width_px)
+        prepared = _without_shading(prepared, width_px, kept)
     if options.variance is not None:
         prepared = _divided(prepared, given_level(options.variance, batch))
     if options.noise != 'none':
-        is_whole = scale == 'linear' and np.issubdtype(np.asarray(batch.frames).dtype, np.integer)
-        prepared = _divided(prepared, _noise_level(
-            prepared, options.noise, _QUANTISED_FLOOR if is_whole else 0.0, width_px))
+        is_whole = np.issubdtype(np.asarray(batch.frames).dtype, np.integer)
+        floor = _QUANTISED_FLOOR if is_whole and prepared.scale == 'linear' else 0.0
+        prepared = _divided(
+            prepared, _noise_level(prepared, options.noise, floor, width_px, kept))
         prepared = _with_white_scale(prepared, width_px)
     if options.noise != 'local':
         # Across the PSF of a target the level of its surroundings hardly changes.
         prepared = _weighted(prepared)
-    if on_plane:
+    if options.registration != 'none' and options.search_plane == 'scene':
         prepared = _on_plane(prepared, options.registration)
     elif prepared.registration is not None:
         prepared = replace(
@@ -184,7 +231,7 @@ def _in_single_precision(batch: FrameBatch) -> PreparedBatch:
         frames[masked] = _nan(frames)
     return PreparedBatch(
         frames, np.array(batch.stamps, dtype=np.float64), np.array(batch.frame_indices),
-        np.ones((1, 1, 1)), geometry.translations(np.zeros((len(raw), 2))))
+        np.ones((1, 1, 1), np.float32), geometry.translations(np.zeros((len(raw), 2))))
 
 
 def _check_options(options: DetectorOptions, prepared: PreparedBatch) -> None:
@@ -225,11 +272,6 @@ def _without_faulty_frames(prepared: PreparedBatch) -> PreparedBatch:
     return prepared
 
 
-def _n_shown(prepared: PreparedBatch) -> int:
-    """Return how many frames hold any data."""
-    return int(np.isfinite(prepared.frames).any(axis=(1, 2)).sum())
-
-
 def _without_bad_pixels(prepared: PreparedBatch, width_px: float) -> PreparedBatch:
     """Return a batch in which pixels that hold no picture are masked."""
     found = bad_pixels(_values(prepared.frames), width_px)
@@ -238,27 +280,29 @@ def _without_bad_pixels(prepared: PreparedBatch, width_px: float) -> PreparedBat
     return _masked(prepared, found.mask)
 
 
-def _nearly_gaussian(prepared: PreparedBatch, scale: str) -> tuple[PreparedBatch, str]:
-    """Return a batch whose noise is nearly Gaussian if its scale is known, and that scale."""
+def _nearly_gaussian(prepared: PreparedBatch, scale: str) -> PreparedBatch:
+    """Return a batch whose noise is nearly Gaussian if its scale is known."""
     frames = prepared.frames
     if scale == 'auto':
         scale = recognised_scale(frames)
         if scale == 'linear':
-            return prepared, scale
+            return prepared
         prepared = _with_remark(
             prepared, 'scale', f'frames are taken for maps of complex noise on the scale {scale}, '
             'and brought to nearly Gaussian noise')
+    elif scale == 'linear':
+        return prepared
     elif scale != 'decibels' and np.any(frames < 0):
         raise DataError(f'frame_scale={scale} needs pixels of at least 0, got '
                         f'{np.nanmin(frames):g}')
-    return replace(prepared, frames=nearly_gaussian(frames, scale)), scale
+    return replace(prepared, frames=nearly_gaussian(frames, scale), scale=scale)
 
 
-def _registered(prepared: PreparedBatch, model: str,
-                known: Registration | None) -> PreparedBatch:
+def _registered(prepared: PreparedBatch, model: str, kept: KeptFrames) -> PreparedBatch:
     """Return a batch with the map from the plane to each frame, and say what is doubtful."""
-    has_data = np.isfinite(prepared.frames).any(axis=(1, 2))
-    registration = known or register(prepared.frames, model)
+    has_data = shown(prepared.frames)
+    features = kept.each(features_of, prepared.frames, prepared.frame_indices)
+    registration = register_features(features, model)
     prepared = replace(prepared, maps=registration.maps, registration=registration)
     doubtful = has_data & ~registration.credible
     if doubtful.any():
@@ -316,29 +360,37 @@ def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:
     return replace(prepared, frames=left.view(prepared.frames.dtype))
 
 
-def _without_shading(prepared: PreparedBatch, width_px: float) -> PreparedBatch:
+def _without_shading(prepared: PreparedBatch, width_px: float, kept: KeptFrames) -> PreparedBatch:
     """Return a batch without slow changes over the image, by cells a target covers little of."""
     mesh_px = max(_LEAST_MESH_PX, round(_MESH_SIGMAS * width_px))
-    return replace(prepared, frames=remove_spatial_median(prepared.frames, mesh_px))
+    return replace(prepared, frames=np.stack(kept.each(
+        without_spatial_median, prepared.frames, prepared.frame_indices, mesh_px)))
 
 
 def _divided(prepared: PreparedBatch, level: NDArray) -> PreparedBatch:
     """Return a batch in units of a level, which broadcasts to its frames."""
-    divisor = level.astype(np.float32)
-    # part by part: a complex division by NaN warns
-    parts = prepared.frames.view(np.float32).reshape(*prepared.frames.shape, -1)
-    frames = (parts / divisor[..., None]).view(prepared.frames.dtype)[..., 0]
+    level = level.astype(np.float32, copy=False)
+    frames = np.empty_like(prepared.frames)
+
+    def divide(frame: NDArray, divisor: NDArray, out: NDArray) -> None:
+        # part by part: a complex division by NaN warns
+        parts, quotients = (whole.view(np.float32).reshape(*whole.shape, -1)
+                            for whole in (frame, out))
+        np.divide(parts, divisor[..., None], out=quotients)
+
+    each_frame(divide, prepared.frames, np.broadcast_to(level, (len(frames), *level.shape[1:])),
+               frames)
     return replace(prepared, frames=frames, noise_level=prepared.noise_level * level)
 
 
-def _noise_level(prepared: PreparedBatch, method: str, floor: float,
-                 width_px: float) -> NDArray:
+def _noise_level(prepared: PreparedBatch, method: str, floor: float, width_px: float,
+                 kept: KeptFrames) -> NDArray:
     """Return the level that broadcasts to the frames, NaN where nothing is known."""
     parts, maps = _real_parts(prepared.frames), prepared.maps
     if method == 'robust':
         level = frame_level(parts, floor)
     elif method == 'local':
-        level = local_level(parts, floor, width_px)
+        level = np.stack(kept.each(local_level, parts, prepared.frame_indices, floor, width_px))
     elif np.array_equal(maps, np.broadcast_to(np.eye(3), maps.shape)):
         level = pixel_level(parts, floor)
     else:
@@ -346,10 +398,10 @@ def _noise_level(prepared: PreparedBatch, method: str, floor: float,
     if not np.any(level > 0):
         raise DataError(
             f'the noise level of the frames is 0, which noise={method} cannot scale to 1')
-    level = np.where(level > 0, level, np.nan)
+    level[~(level > 0)] = np.nan
     if np.iscomplexobj(prepared.frames):
         # a complex pixel is two real ones with half the variance each
-        level = level * np.sqrt(2.0)
+        level *= 2**0.5
         if level.shape[2] > 1:
             level = np.sqrt(0.5 * (level[..., 0::2] ** 2 + level[..., 1::2] ** 2))
     return level
@@ -359,8 +411,12 @@ def _with_white_scale(prepared: PreparedBatch, width_px: float) -> PreparedBatch
     """Return a batch whose matched filter has unit noise; that of complex frames is white."""
     if np.iscomplexobj(prepared.frames):
         return prepared
-    factor = coloured_noise_factor(prepared.frames, width_px)
-    return _divided(prepared, np.full((1, 1, 1), factor))
+    factor = np.float32(coloured_noise_factor(prepared.frames, width_px))
+    if factor != 1:
+        # In place: what is divided by the noise is an array of this stage.
+        each_frame(lambda frame: np.divide(frame, factor, out=frame), prepared.frames)
+        prepared.noise_level[...] *= factor
+    return prepared
 
 
 def _weighted(prepared: PreparedBatch) -> PreparedBatch:
@@ -395,7 +451,7 @@ def _shifted_whole(frames: NDArray, maps: NDArray) -> NDArray:
 def _without_garbage(prepared: PreparedBatch, most: float, unit: str) -> PreparedBatch:
     """Return a batch in which frames are masked that hold pixels beyond any, where few do."""
     found = frames_beyond(prepared.frames, most)
-    if not 0 < 2 * found.sum() < _n_shown(prepared):
+    if not 0 < 2 * found.sum() < np.sum(shown(prepared.frames)):
         return prepared
     value, t, place = _largest(prepared.frames)
     return _with_remark(

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect import geometry
+from track_before_detect.parallel import map_in_threads
+from track_before_detect.preprocess.per_frame import each_frame
 from track_before_detect.preprocess.registration_correlation import CREDIBLE, features_of, match
 from track_before_detect.preprocess.registration_gauss_newton import align
 from track_before_detect.preprocess.resampling import warped
@@ -79,8 +81,20 @@ def register(frames: NDArray, model: str = 'translation') -> Registration:
     Registration
         Maps, their quality and the reference.
     """
-    n_frames = len(frames)
-    features = [features_of(frame) for frame in frames]
+    return register_features(each_frame(features_of, frames), model)
+
+
+def register_features(features: Sequence[NDArray], model: str) -> Registration:
+    """Find where the scene of the middle frame is in each frame, see :func:`register`.
+
+    Parameters
+    ----------
+    features : sequence of array, shape (2, H, W)
+        Of each frame, see ``features_of``.
+    model : str
+        ``'translation'``, ``'affine'`` or ``'homography'``.
+    """
+    n_frames = len(features)
     reference = _reference(features)
     maps = np.full((n_frames, 3, 3), np.nan)
     quality = np.zeros(n_frames)
@@ -88,7 +102,8 @@ def register(frames: NDArray, model: str = 'translation') -> Registration:
     maps[reference] = np.eye(3)
     quality[reference] = np.inf
     place = _shifted if model == 'translation' else _aligned
-    for order in (range(reference + 1, n_frames), range(reference - 1, -1, -1)):
+
+    def follow(order: range) -> None:
         key = last = reference
         for index in order:
             placed = place(features, maps, key, last, index, model)
@@ -96,6 +111,8 @@ def register(frames: NDArray, model: str = 'translation') -> Registration:
             if placed.peak >= CREDIBLE:
                 maps[index] = placed.matrix @ maps[placed.key]
                 key, last = placed.key, index
+
+    map_in_threads(follow, [range(reference + 1, n_frames), range(reference - 1, -1, -1)])
     credible = np.isfinite(maps[:, 0, 0])
     times = np.arange(n_frames)
     for row, column in np.ndindex(3, 3):

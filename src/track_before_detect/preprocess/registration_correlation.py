@@ -4,9 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import fft
 
-from track_before_detect.preprocess.robust import median_deviation
+from track_before_detect.kernels.pictures.boxes import box_mean
+from track_before_detect.preprocess.robust import median, median_deviation
 
 _HIGH_PASS_PX = 31  # side of the box whose mean is taken off: shading of the lens stays put
 _CLIP = 3.0  # of the robust deviation, so that no bright pixel decides alone
@@ -60,16 +61,15 @@ def features_of(frame: NDArray) -> NDArray[np.float32]:
     if not finite.any():
         return np.zeros((2, *frame.shape), dtype=np.float32)
     if not finite.all():
-        image[~finite] = np.median(image[finite])
+        image[~finite] = median(image[finite])
     excess = image - _ring(image)
     outlying = (np.abs(excess) >= _CLIP * _deviation(excess[finite])).astype(np.float32)
-    lonely = ndimage.uniform_filter(outlying, _HIGH_PASS_PX, mode='nearest') < _LONELY
+    lonely = _box_mean(outlying, _HIGH_PASS_PX) < _LONELY
     # the flanks of a target are below the clip
-    lonely &= ndimage.uniform_filter(outlying, 5, mode='nearest') > 0.5 / 25
+    lonely &= _box_mean(outlying, 5) > 0.5 / 25
     kept = finite & ~lonely
-    weight = ndimage.uniform_filter(kept.astype(np.float32), _HIGH_PASS_PX, mode='nearest')
-    local = ndimage.uniform_filter(np.where(kept, image, np.float32(0)), _HIGH_PASS_PX,
-                                   mode='nearest')
+    weight = _box_mean(kept.astype(np.float32), _HIGH_PASS_PX)
+    local = _box_mean(np.where(kept, image, np.float32(0)), _HIGH_PASS_PX)
     image -= local / np.maximum(weight, np.float32(1e-3))
     image /= np.float32(_deviation(image[finite]))
     image[~finite] = 0.0
@@ -90,10 +90,11 @@ def match(fixed: NDArray, moving: NDArray, guess: NDArray) -> Match:
     guess : array of int, shape (2,)
         Shift x, y in whole pixels that is looked near.
     """
-    shift, peak, _ = _correlate(fixed[0], moving[0], guess)
+    shift, peak = _correlate(fixed[0], moving[0], guess)
     if peak < CREDIBLE:
-        bright_shift, bright_peak, tiles = _correlate(fixed[1], moving[1], guess)
-        if bright_peak >= CREDIBLE and tiles >= _LEAST_TILES:
+        bright_shift, bright_peak = _correlate(fixed[1], moving[1], guess)
+        if (bright_peak >= CREDIBLE
+                and _support(fixed[1], moving[1], np.rint(bright_shift)) >= _LEAST_TILES):
             return Match(bright_shift, bright_peak, 1)
     return Match(shift, peak, 0)
 
@@ -111,28 +112,33 @@ def _ring(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return 0.5 * (total - low - high)
 
 
+def _box_mean(image: NDArray[np.float32], side: int) -> NDArray[np.float32]:
+    mean = np.empty_like(image)
+    box_mean(image, side, mean)
+    return mean
+
+
 def _deviation(values: NDArray) -> float:
     """Return a robust standard deviation that is not 0."""
     return median_deviation(values) or float(np.std(values)) or 1.0
 
 
 def _correlate(fixed: NDArray, moving: NDArray,
-               guess: NDArray) -> tuple[NDArray[np.float64], float, int]:
+               guess: NDArray) -> tuple[NDArray[np.float64], float]:
     """Correlate two images near a shift ``guess`` in whole pixels.
 
-    Returns the shift x, y in pixels, the height of its peak over the deviation of the surface,
-    and the number of tiles of the image that support it.
+    Returns the shift x, y in pixels, and the height of its peak over the deviation of the surface.
     """
     a, b = _overlap(fixed, moving, guess)
     rows, columns = a.shape
-    taper = np.outer(_taper(rows), _taper(columns)).astype(np.float32)
+    taper = np.outer(_taper(rows), _taper(columns))
     shape = fft.next_fast_len(rows, real=True), fft.next_fast_len(columns, real=True)
     spectrum = np.conj(fft.rfft2(a * taper, shape)) * fft.rfft2(b * taper, shape)
     spectrum *= _low_pass(shape) / np.maximum(np.abs(spectrum), 1e-12) ** _WHITENING
     surface = fft.irfft2(spectrum, shape)
     deviation = surface.std()
     if not deviation > 0:
-        return np.zeros(2), 0.0, 0
+        return np.zeros(2), 0.0
     reach = max(1, int(_FARTHEST * min(fixed.shape)))
     nearby = [np.arange(-min(reach, (size - 1) // 2), min(reach, (size - 1) // 2) + 1)
               for size in shape]
@@ -142,8 +148,7 @@ def _correlate(fixed: NDArray, moving: NDArray,
     around = np.array([-1, 0, 1])
     peak = surface[np.ix_((row + around) % shape[0], (column + around) % shape[1])]
     shift = np.array([column + _vertex(peak[1]), row + _vertex(peak[:, 1])])
-    whole = np.array([column, row]) + guess
-    return shift + guess, float(peak[1, 1] / deviation), _support(fixed, moving, whole)
+    return shift + guess, float(peak[1, 1] / deviation)
 
 
 def _overlap(fixed: NDArray, moving: NDArray, shift: NDArray) -> tuple[NDArray, NDArray]:
@@ -166,16 +171,15 @@ def _support(fixed: NDArray, moving: NDArray, shift: NDArray) -> int:
 
 def _low_pass(shape: tuple[int, int]) -> NDArray[np.float32]:
     """Return the low-pass in the frequency plane that gives the peak its width."""
-    along_y = fft.fftfreq(shape[0])[:, None]
-    along_x = fft.rfftfreq(shape[1])[None, :]
-    square = (2 * np.pi * _PEAK_SIGMA_PX) ** 2 * (along_y ** 2 + along_x ** 2)
-    return np.exp(-0.5 * square).astype(np.float32)
+    along_y, along_x = (np.exp(-0.5 * (2 * np.pi * _PEAK_SIGMA_PX * frequency) ** 2)
+                        for frequency in (fft.fftfreq(shape[0]), fft.rfftfreq(shape[1])))
+    return np.outer(along_y, along_x).astype(np.float32)
 
 
-def _taper(length: int) -> NDArray[np.float64]:
+def _taper(length: int) -> NDArray[np.float32]:
     """Return a window of ones with raised-cosine ends."""
     ramp = max(1, int(_TAPER * length))
-    window = np.ones(length)
+    window = np.ones(length, np.float32)
     window[:ramp] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)
     window[length - ramp:] = window[:ramp][::-1]
     return window

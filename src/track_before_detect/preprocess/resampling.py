@@ -3,7 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect import geometry
 from track_before_detect.kernels import warp as warp_kernels
+from track_before_detect.preprocess.per_frame import each_frame
 
 
 def warped(image: NDArray, matrix: NDArray) -> NDArray:
@@ -23,14 +25,23 @@ def warped(image: NDArray, matrix: NDArray) -> NDArray:
     """
     if np.array_equal(matrix, np.eye(3)):
         return image.copy()
-    moved = np.empty_like(image)
-    warp_kernels.warp(np.ascontiguousarray(image), matrix, moved)
+    image, moved = np.ascontiguousarray(image), np.empty(image.shape, image.dtype)
+    if geometry.is_translation(matrix):
+        warp_kernels.shift(image, float(matrix[0, 2]), float(matrix[1, 2]), moved)
+    else:
+        warp_kernels.warp(image, matrix, moved)
     return moved
 
 
 def warped_frames(frames: NDArray, maps: NDArray) -> NDArray:
     """Return every frame of shape (T, H, W) as it is seen through its own map (3, 3)."""
-    return np.stack([warped(frame, matrix) for frame, matrix in zip(frames, maps, strict=True)])
+    moved = np.empty(frames.shape, frames.dtype)
+
+    def move(frame: NDArray, matrix: NDArray, out: NDArray) -> None:
+        out[:] = warped(frame, matrix)
+
+    each_frame(move, frames, maps, moved)
+    return moved
 
 
 def shift_whole(frame: NDArray, offset: NDArray) -> NDArray:

@@ -1,5 +1,7 @@
 """The spread of the bulk of some values, whatever a few of them are."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,9 +12,21 @@ _ENOUGH = 200_000  # values tell the deviation to 0.2 %
 _FLOOR_SPREAD = 5 / 3  # half a grey level at the floor of whole numbers, whose median can be 0
 
 
+def median(values: NDArray) -> Any:
+    """Return the median of all values, which are numbers; at least one.
+
+    Selecting one value is several times as fast as selecting the two that NumPy's median asks for.
+    """
+    middle = values.size // 2
+    ordered = np.partition(values, middle, axis=None)
+    if values.size % 2:
+        return ordered[middle]
+    return values.dtype.type(0.5) * (ordered[:middle].max() + ordered[middle])
+
+
 def median_deviation(centred: NDArray) -> float:
     """Return the standard deviation of values about 0, by the median of their magnitudes."""
-    return MAD_TO_DEVIATION * float(np.median(np.abs(centred)))
+    return MAD_TO_DEVIATION * float(median(np.abs(centred)))
 
 
 def robust_deviation(values: NDArray, floor: float = 0.0) -> float:
@@ -34,18 +48,17 @@ def robust_deviation(values: NDArray, floor: float = 0.0) -> float:
     float
         Standard deviation; NaN when no value is finite.
     """
-    finite = values[np.isfinite(values)]
+    known = np.isfinite(values)
+    finite = values.reshape(-1) if known.all() else values[known]
     if not finite.size:
         return float('nan')
-    finite = finite[::-(-finite.size // _ENOUGH)].astype(np.float64)
-    centred = finite - np.median(finite)
-    spread = max(float(np.median(np.abs(centred))), _FLOOR_SPREAD * floor)
+    centred = finite[::-(-finite.size // _ENOUGH)].astype(np.float64)
+    centred -= median(centred)
+    spread = max(float(median(np.abs(centred))), _FLOOR_SPREAD * floor)
     if spread == 0:
         return 0.0
     square = (centred / (_CUTOFF * spread)) ** 2
-    inside = square < 1
-    square, centred = square[inside], centred[inside]
-    rest = 1 - square
-    above = np.sum(centred ** 2 * rest ** 4)
+    rest = np.maximum(1 - square, 0)
+    above = np.sum((centred * rest * rest) ** 2)
     below = abs(np.sum(rest * (1 - 5 * square)))
-    return max(float(np.sqrt(finite.size * above) / below) / _GAUSSIAN, floor)
+    return max(float(np.sqrt(centred.size * above) / below) / _GAUSSIAN, floor)

@@ -2,8 +2,9 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from track_before_detect.kernels.pictures import matched_statistic as kernels
+from track_before_detect.preprocess.per_frame import each_frame
 from track_before_detect.preprocess.robust import robust_deviation
 
 _SIGNIFICANT = 3.0  # deviations by which noise must differ from white
@@ -29,9 +30,11 @@ def coloured_noise_factor(frames: NDArray, width_px: float) -> float:
     float
         Robust deviation of the matched filter's output; 1 unless it is clearly above that.
     """
-    outputs = [matched_statistic(frame, width_px)
-               for frame in frames[::-(-len(frames) // _FRAMES_USED)]]
-    values = np.concatenate([output[np.isfinite(output)] for output in outputs])
+    def known(frame: NDArray) -> NDArray:
+        output = matched_statistic(frame, width_px)
+        return output[np.isfinite(output)]
+
+    values = np.concatenate(each_frame(known, frames[::-(-len(frames) // _FRAMES_USED)]))
     factor = robust_deviation(values)
     n_independent = max(values.size / (4 * np.pi * width_px ** 2), 1.0)
     return factor if factor > 1 + _SIGNIFICANT / np.sqrt(2 * n_independent) else 1.0
@@ -54,14 +57,12 @@ def matched_statistic(frame: NDArray, width_px: float) -> NDArray:
     """
     reach = int(np.ceil(4 * width_px))
     profile = np.exp(-0.5 * (np.arange(-reach, reach + 1) / width_px) ** 2)
-    finite = np.isfinite(frame)
-    signal = np.where(finite, frame, frame.dtype.type(0))
-    power = finite.astype(frame.real.dtype)
-    for axis in (0, 1):
-        signal = ndimage.correlate1d(signal, profile, axis=axis, mode='constant')
-        power = ndimage.correlate1d(power, profile ** 2, axis=axis, mode='constant')
-    # The pixel itself keeps the power above 0 wherever it is known.
-    return np.where(finite, signal, np.nan) / np.sqrt(np.where(finite, power, 1))
+    if np.iscomplexobj(frame):
+        parts = [matched_statistic(part, width_px) for part in (frame.real, frame.imag)]
+        return np.stack(parts, axis=-1).view(frame.dtype)[..., 0]
+    seen = np.empty(frame.shape, frame.dtype)
+    kernels.matched_statistic(np.ascontiguousarray(frame), profile.astype(frame.dtype), seen)
+    return seen
 
 
 def autocorrelation(frames: NDArray, axis: int, most_lags: int,

@@ -14,8 +14,8 @@ from track_before_detect.checks import checked_stamps
 from track_before_detect.errors import DataError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
-from track_before_detect.preprocess.prepare import prepare, PreparedBatch
-from track_before_detect.preprocess.registration import Registration
+from track_before_detect.preprocess.per_frame import KeptFrames
+from track_before_detect.preprocess.prepare import noise_of_one, pictures, PreparedBatch
 from track_before_detect.preprocess.robust import median_deviation
 from track_before_detect.solvers.batch_detector import (
     BatchDetector,
@@ -36,6 +36,7 @@ from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
+from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.compilation import LABEL, told_of_compiling
 from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.remarks import Remarks
@@ -121,6 +122,8 @@ class TrackingPipeline:
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []
         self._remarks = Remarks()
+        length, hop = options.batch_length or 0, options.hop
+        self._kept = KeptFrames(max(length - (hop or hop_of(length)), 0))
         self._scale_is_known = False
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
@@ -171,8 +174,20 @@ class TrackingPipeline:
             frames[:, 0, 0] = np.nan
             for detector in detectors:
                 detector.detect(batch)
+            self._prepare_once(options, frames.dtype)
         if progress is not None:
             progress(LABEL, 1.0)
+
+    def _prepare_once(self, options: DetectorOptions, kind: np.dtype) -> None:
+        """Run every kernel of preprocessing, on a scene that moves by a pixel per frame."""
+        rng = np.random.default_rng(0)
+        scene = rng.normal(100, 10, (48, 56))
+        frames = np.stack([scene[:, t:t + 48] + rng.normal(size=(48, 48)) for t in range(8)])
+        batch = FrameBatch.of(frames.astype(kind), np.arange(8.0))
+        seen = pictures(batch, options, options.psf_sigma_px)
+        for background in self._backgrounds:
+            noise_of_one(seen, batch, options.replace(background=background),
+                         options.psf_sigma_px)
 
     def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of a batch.
@@ -191,12 +206,11 @@ class TrackingPipeline:
             in the batches before.
         """
         _check(batch)
-        registration = None
-        results = []
-        for background in self._backgrounds:
-            with told_of_compiling(progress, self._options):
-                result, registration = self._search(batch, background, registration, progress)
-            results.append(result)
+        width_px = psf_of(self._options).width_px
+        with told_of_compiling(progress, self._options):
+            seen = pictures(batch, self._options, width_px, self._kept)
+            results = [self._search(batch, seen, background, progress)
+                       for background in self._backgrounds]
         found = [trajectory for result in results for trajectory in result.trajectories]
         rejected = [trajectory for result in results for trajectory in result.rejected]
         if len(results) > 1:
@@ -216,14 +230,14 @@ class TrackingPipeline:
         return self._stitcher.carried_on(
             known, [trajectory for trajectory in weaker if trajectory.reason in MAY_CARRY_ON])
 
-    def _search(self, batch: FrameBatch, background: str, registration: Registration | None,
-                progress: Progress | None) -> tuple[DetectionResult, Registration | None]:
-        """Find the trajectories beside one background, without ids, and the registration."""
+    def _search(self, batch: FrameBatch, seen: PreparedBatch, background: str,
+                progress: Progress | None) -> DetectionResult:
+        """Find the trajectories beside one background, without ids."""
         options = self._options.replace(background=background)
-        prepared = prepare(batch, options, psf_of(options).width_px, registration)
+        prepared = noise_of_one(seen, batch, options, psf_of(options).width_px, self._kept)
         remarks = self._remarks.new(prepared.remarks)
         if not np.isfinite(prepared.frames).any():
-            return DetectionResult([], 0.0, remarks=remarks), prepared.registration
+            return DetectionResult([], 0.0, remarks=remarks)
         middle = prepared.frames[len(batch) // 2]
         self._check_scale(middle)
         earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
@@ -244,8 +258,7 @@ class TrackingPipeline:
                      f'not searched: {self._what_to_set(middle)}')
             remarks += self._remarks.new([Remark('not_noise', words)])
         return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
-                               result.best_statistic, rejected=rejected,
-                               remarks=remarks), prepared.registration
+                               result.best_statistic, rejected=rejected, remarks=remarks)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""

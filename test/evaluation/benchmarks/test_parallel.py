@@ -4,7 +4,7 @@ import json
 import pytest
 
 from canned import quiet
-from track_before_detect.evaluation.benchmarks import parallel, velocity_filter
+from track_before_detect.evaluation.benchmarks import parallel, scene, velocity_filter
 from track_before_detect.evaluation.studies.parallel.scenes import many_targets
 
 
@@ -39,3 +39,18 @@ def test_velocities_are_measured_beside_numpy():
     assert case['additions'] < case['plain_additions']
     assert json.loads(json.dumps(measured)) == measured
     assert '225' in bench.table(measured)
+
+
+def test_a_panning_scene_is_measured_stage_by_stage():
+    bench = dataclasses.replace(scene.BENCH, cases=lambda large: {'cases': [scene.Scene(64, 80)]})
+    measured = bench.measure(2, False, quiet)
+    [case] = measured['cases']
+    assert case['n_trajectories'] == 1
+    assert case['frames_per_s'] == pytest.approx(case['hop'] / case['batch']['wall_s']['median'])
+    for stage in ('batch', 'look', 'pictures', 'noise_of_one'):
+        assert 0 < case[stage]['cpu_s']['min'] <= case[stage]['cpu_s']['median']
+    assert case['peak_memory_bytes'] >= case['peak_memory_before_bytes'] > 10 * 2**20
+    assert json.loads(json.dumps(measured)) == measured
+    assert '80 x 64' in bench.table(measured)
+    assert [(one.width, one.height) for one in scene.BENCH.cases(True)['cases']] == [
+        (320, 256), (640, 512)]

@@ -7,13 +7,14 @@ from track_before_detect.evaluation.benchmarks import (
     dp,
     fit,
     parallel,
+    scene,
     velocity_filter,
 )
 from track_before_detect.evaluation.benchmarks.bench import Bench
 
 BENCHES: dict[str, Bench] = {
     one.BENCH.name: one.BENCH for one in (
-        convex, dp, fit, parallel, velocity_filter, compilation)}
+        convex, dp, fit, parallel, scene, velocity_filter, compilation)}
 
 
 def bench_named(name: str) -> Bench:

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from track_before_detect.preprocess.background import temporal_median
+from track_before_detect.preprocess.background import temporal_median, with_nearest
+from track_before_detect.preprocess.per_frame import shown
 from track_before_detect.preprocess.robust import robust_deviation
 
 _WIDEST_STRIP = 8  # rows or columns from the border that may hold counters and clocks
@@ -73,7 +74,8 @@ def bad_pixels(frames: NDArray, width_px: float = 1.0) -> BadPixels:
     """
     mask = np.zeros(frames.shape, bool)
     remarks: dict[str, str] = {}
-    with_data = frames[np.isfinite(frames).any(axis=(1, 2))]
+    has_data = shown(frames)
+    with_data = frames if has_data.all() else frames[has_data]
     if len(with_data) < 3:
         return BadPixels(mask, remarks)
     deviation = robust_deviation(np.diff(with_data, axis=0)) / 2**0.5
@@ -84,7 +86,7 @@ def bad_pixels(frames: NDArray, width_px: float = 1.0) -> BadPixels:
         for mask_kind in (_mask_strips, _mask_single_pixels, _mask_symbols):
             mask_kind(always, remarks, seen)
         mask |= always
-    saturated = _saturated(np.where(mask, np.nan, frames),
+    saturated = _saturated(np.where(mask, np.nan, frames) if mask.any() else frames,
                            max(_LEAST_EXTENT_PX, _WIDTHS * width_px))
     if saturated.any():
         mask |= saturated
@@ -98,19 +100,20 @@ def _mask_strips(mask: NDArray[np.bool_], remarks: dict[str, str], seen: _Seen) 
         for last in (False, True):
             lines = np.moveaxis(seen.frames, axis + 1, 1)
             lines = lines[:, ::-1] if last else lines
-            width = _strip_width(lines, seen.deviation)
+            n_lines = lines.shape[1]
+            width = _strip_width(np.ascontiguousarray(lines[:, :_WIDEST_STRIP + 4]),
+                                 min(_WIDEST_STRIP, n_lines // 4), seen.deviation)
             if not width:
                 continue
-            n_lines = lines.shape[1]
             first, end = (n_lines - width, n_lines) if last else (0, width)
             np.moveaxis(mask, axis, 0)[first:end] = True
             which = f'{name} {first} is' if width == 1 else f'{name}s {first} to {end - 1} are'
             remarks[f'{name} {last}'] = f'{which} masked: no part of the picture'
 
 
-def _strip_width(lines: NDArray, deviation: float) -> int:
+def _strip_width(lines: NDArray, widest: int, deviation: float) -> int:
     """Return how many of the first lines (T, lines, pixels) are no part of the picture."""
-    for width in range(min(_WIDEST_STRIP, lines.shape[1] // 4), 0, -1):
+    for width in range(widest, 0, -1):
         # a steep scene changes as much from line to line within the picture
         slope = np.abs(lines[:, width:width + 3] - lines[:, width + 1:width + 4]).max(axis=1)
         jumps = np.abs(lines[:, width - 1] - lines[:, width]) > _JUMP * deviation + 2 * slope
@@ -122,8 +125,7 @@ def _strip_width(lines: NDArray, deviation: float) -> int:
 def _mask_single_pixels(mask: NDArray[np.bool_], remarks: dict[str, str], seen: _Seen) -> None:
     """Mask hot pixels, which stand out of all neighbours, and dead ones, which never change."""
     unknown = mask | ~np.isfinite(seen.middle)
-    nearest = ndimage.distance_transform_edt(unknown, return_distances=False, return_indices=True)
-    middle = seen.middle[tuple(nearest)]
+    middle = with_nearest(seen.middle, unknown)
     highest, lowest = (limit(middle, footprint=_RING)
                        for limit in (ndimage.maximum_filter, ndimage.minimum_filter))
     jump = _HOT * seen.deviation
@@ -139,12 +141,13 @@ def _mask_single_pixels(mask: NDArray[np.bool_], remarks: dict[str, str], seen: 
         return excess[2, 2] > jump and around < _MOST_SPILLED * excess[2, 2]
 
     for kind, candidates, values, is_bad in (
-            ('hot', lonely, middle, is_hot),
-            ('dead', still, np.std(seen.frames, axis=0), lambda patch: np.median(patch) > least)):
+            ('hot', lonely, lambda: middle, is_hot),
+            ('dead', still, lambda: np.std(seen.frames, axis=0),
+             lambda patch: np.median(patch) > least)):
         places = np.argwhere(candidates & ~mask)
-        if len(places) > _MOST_PIXELS * mask.size:
+        if not 0 < len(places) <= _MOST_PIXELS * mask.size:
             continue
-        patches = np.pad(values, 2, mode='symmetric')
+        patches = np.pad(values(), 2, mode='symmetric')
         found = np.zeros_like(mask)
         for y, x in places:
             found[y, x] = is_bad(patches[y:y + 5, x:x + 5])
@@ -186,13 +189,12 @@ def _mask_symbols(mask: NDArray[np.bool_], remarks: dict[str, str], seen: _Seen)
 def _saturated(frames: NDArray, extent_px: float) -> NDArray[np.bool_]:
     """Return the areas at the largest value that are larger than a target, and their border."""
     found = np.zeros(frames.shape, bool)
-    finite = frames[np.isfinite(frames)]
-    highest = finite.max(initial=-np.inf)
-    n_highest = int(np.sum(finite == highest))
+    highest = np.fmax.reduce(frames, axis=None)
+    n_highest = np.count_nonzero(frames == highest)
     if n_highest < extent_px:
         return found
-    below = finite[finite < highest]
-    if not below.size or n_highest < _PILED_UP * np.sum(below == below.max()):
+    below = frames[frames < highest]
+    if not below.size or n_highest < _PILED_UP * np.count_nonzero(below == below.max()):
         return found
     for frame, own in zip(frames, found, strict=True):
         labels, _ = ndimage.label(frame == highest, _AROUND)

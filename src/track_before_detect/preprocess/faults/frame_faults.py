@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csgraph
 
+from track_before_detect.preprocess.per_frame import each_frame, shown
 from track_before_detect.preprocess.registration_correlation import CREDIBLE, features_of, match
 from track_before_detect.preprocess.robust import median_deviation, robust_deviation
 
@@ -32,17 +33,21 @@ def frame_faults(frames: NDArray) -> dict[str, NDArray[np.bool_]]:
         pixels more than usual are at the largest value of the batch. ``'garbage'``: far more
         contrast than usual, and nothing of what the nearest picture shows.
     """
-    shown = np.isfinite(frames).any(axis=(1, 2))
+    has_data = shown(frames)
     single, saturated, faint, garbage = np.zeros((4, len(frames)), dtype=bool)
-    share, contrast = np.zeros((2, len(frames)))
-    for t in np.flatnonzero(shown):
-        single[t] = np.nanmin(frames[t]) == np.nanmax(frames[t])
-        contrast[t] = robust_deviation(_part(frames[t]))
-    if shown.any():
-        share[shown] = np.mean(frames[shown] == np.nanmax(frames[shown]), axis=(1, 2))
-        saturated = share > _SATURATED + np.median(share[shown])
+    share, contrast, low, high = np.zeros((4, len(frames)))
+    numbers = np.flatnonzero(has_data)
+    if len(numbers):
+        frames_with_data = [frames[t] for t in numbers]
+        low[numbers], high[numbers], contrast[numbers] = np.transpose(each_frame(
+            lambda frame: (np.nanmin(frame), np.nanmax(frame), robust_deviation(_part(frame))),
+            frames_with_data))
+        single[numbers] = (low == high)[numbers]
+        highest = high[numbers].max()
+        share[numbers] = each_frame(lambda frame: np.mean(frame == highest), frames_with_data)
+        saturated = share > _SATURATED + np.median(share[numbers])
         faint |= single & ~saturated
-    pictures = shown & ~single & ~saturated
+    pictures = has_data & ~single & ~saturated
     usual = float(np.median(contrast[pictures])) if pictures.any() else 0.0
     if usual > 0:
         far = np.log(np.maximum(contrast, 1e-9 * usual) / usual)
