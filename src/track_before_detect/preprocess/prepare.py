@@ -1,5 +1,6 @@
 """From raw frames to frames in which the noise has unit variance and the scene stands still."""
 
+import warnings
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,7 +31,9 @@ from track_before_detect.preprocess.noise_level import (
 from track_before_detect.preprocess.per_frame import each_frame, KeptFrames, shown
 from track_before_detect.preprocess.registration import register_features, Registration
 from track_before_detect.preprocess.registration_correlation import features_of
+from track_before_detect.preprocess.registration_choice import register_simply
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
+from track_before_detect.preprocess.scene_noise import scene_noise
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
 from track_before_detect.types import FrameBatch, Remark
 
@@ -185,6 +188,8 @@ def noise_of_one(seen: PreparedBatch, batch: FrameBatch, options: DetectorOption
         return prepared
     if options.background in _STILL_SCENE:
         prepared = _without_still_scene(prepared)
+        if options.noise == 'local':
+            prepared = _with_even_noise(prepared, seen.frames)
         # No frame is again what it was in the batch before.
         kept = None
     kept = kept or KeptFrames()
@@ -299,7 +304,8 @@ def _registered(prepared: PreparedBatch, model: str, kept: KeptFrames) -> Prepar
     """Return a batch with the map from the plane to each frame, and say what is doubtful."""
     has_data = shown(prepared.frames)
     features = kept.each(features_of, prepared.frames, prepared.frame_indices)
-    registration = register_features(features, model)
+    registration = (register_simply(features) if model == 'auto'
+                    else register_features(features, model))
     prepared = replace(prepared, maps=registration.maps, registration=registration)
     doubtful = has_data & ~registration.credible
     if doubtful.any():
@@ -354,7 +360,24 @@ def _credible(registration: Registration | None) -> NDArray[np.float64] | None:
 def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:
     """Return a batch without what stands still on the registered plane."""
     left = remove_temporal_median(_real_parts(prepared.frames), prepared.maps)
+    if not np.array_equal(prepared.maps, np.broadcast_to(np.eye(3), prepared.maps.shape)):
+        left -= _stripes(left)
     return replace(prepared, frames=left.view(prepared.frames.dtype))
+
+
+def _stripes(frames: NDArray) -> NDArray[np.float32]:
+    """Return what the columns and rows of a sensor add to all frames (T, H, W)."""
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', RuntimeWarning)
+        columns = np.nan_to_num(np.nanmedian(frames, axis=(0, 1)))
+        rows = np.nan_to_num(np.nanmedian(frames - columns, axis=(0, 2)))
+    return (rows[:, None] + columns).astype(np.float32)
+
+
+def _with_even_noise(prepared: PreparedBatch, frames: NDArray) -> PreparedBatch:
+    """Return a batch whose noise follows neither brightness nor slopes of the scene."""
+    noise = scene_noise(_real_parts(prepared.frames), _real_parts(frames))
+    return prepared if noise is None else _divided(prepared, noise)
 
 
 def _without_shading(prepared: PreparedBatch, width_px: float, kept: KeptFrames) -> PreparedBatch:

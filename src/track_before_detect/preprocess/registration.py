@@ -84,7 +84,8 @@ def register(frames: NDArray, model: str = 'translation') -> Registration:
     return register_features(each_frame(features_of, frames), model)
 
 
-def register_features(features: Sequence[NDArray], model: str) -> Registration:
+def register_features(features: Sequence[NDArray], model: str,
+                      reference: int | None = None) -> Registration:
     """Find where the scene of the middle frame is in each frame, see :func:`register`.
 
     Parameters
@@ -95,7 +96,8 @@ def register_features(features: Sequence[NDArray], model: str) -> Registration:
         ``'translation'``, ``'affine'`` or ``'homography'``.
     """
     n_frames = len(features)
-    reference = _reference(features)
+    if reference is None:
+        reference = _reference(features)
     maps = np.full((n_frames, 3, 3), np.nan)
     quality = np.zeros(n_frames)
     refined = np.ones(n_frames, dtype=bool)
