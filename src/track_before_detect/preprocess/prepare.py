@@ -1,6 +1,5 @@
 """From raw frames to frames in which the noise has unit variance and the scene stands still."""
 
-import warnings
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -12,6 +11,7 @@ from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.amplitude_scale import nearly_gaussian, recognised_scale
 from track_before_detect.preprocess.background import (
+    remove_stripes,
     remove_temporal_median,
     without_spatial_median,
 )
@@ -30,8 +30,8 @@ from track_before_detect.preprocess.noise_level import (
 )
 from track_before_detect.preprocess.per_frame import each_frame, KeptFrames, shown
 from track_before_detect.preprocess.registration import register_features, Registration
-from track_before_detect.preprocess.registration_correlation import features_of
 from track_before_detect.preprocess.registration_choice import register_simply
+from track_before_detect.preprocess.registration_correlation import features_of
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
 from track_before_detect.preprocess.scene_noise import scene_noise
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
@@ -361,17 +361,8 @@ def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:
     """Return a batch without what stands still on the registered plane."""
     left = remove_temporal_median(_real_parts(prepared.frames), prepared.maps)
     if not np.array_equal(prepared.maps, np.broadcast_to(np.eye(3), prepared.maps.shape)):
-        left -= _stripes(left)
+        remove_stripes(left)
     return replace(prepared, frames=left.view(prepared.frames.dtype))
-
-
-def _stripes(frames: NDArray) -> NDArray[np.float32]:
-    """Return what the columns and rows of a sensor add to all frames (T, H, W)."""
-    with warnings.catch_warnings():
-        warnings.simplefilter('ignore', RuntimeWarning)
-        columns = np.nan_to_num(np.nanmedian(frames, axis=(0, 1)))
-        rows = np.nan_to_num(np.nanmedian(frames - columns, axis=(0, 2)))
-    return (rows[:, None] + columns).astype(np.float32)
 
 
 def _with_even_noise(prepared: PreparedBatch, frames: NDArray) -> PreparedBatch:

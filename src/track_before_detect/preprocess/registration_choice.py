@@ -1,4 +1,4 @@
-"""Which map a batch needs from its scene to its frames: none, a shift, or one with turns and zooms.
+"""Which map leads from the scene to the frames: none, a shift, or one with turns and zooms.
 
 A map that can do more also follows more of what moves by itself in front of a still camera, as
 leaves do. So it is taken only where it leaves less of the scene in most parts of the picture.

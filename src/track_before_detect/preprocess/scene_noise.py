@@ -1,66 +1,84 @@
-"""Noise that follows the scene: brighter pixels count more photons, and slopes show what moved."""
+"""Noise that follows the scene: bright pixels count more photons, slopes show what has moved.
+
+The variance of a pixel is fitted as a + b I + c |grad I|^2, with the background I. The shot noise
+of a photon count is the term with b; what is left of motion, where the registration is off by a
+little or leaves are in the wind, that with c. One fit serves all pixels, so that no target,
+however slowly it moves, has a say in the noise of its own place.
+"""
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
 
-_ROUNDS = 5  # of a fit in which outlying pixels count less each time
-_OUTLYING = 3.0  # deviations beyond which a pixel is taken for a target or a leftover
-_MOST_PIXELS = 30_000  # that are fitted
+from track_before_detect.kernels.pictures.scene_noise import noise_at, terms_at
+from track_before_detect.preprocess.per_frame import each_frame
+
+_PIXELS = 30_000  # of a batch that are fitted
+_LEAST_PIXELS = 1000
+_ROUNDS = 5  # of the fit, in each of which outlying pixels count as much as at the border
+_OUTLYING = 3.0  # deviations beyond which a pixel belongs to a target, or to no model
+_CUT = 1 / 0.973  # over the mean of squares of normal numbers that are cut there
+_MEDIAN_OF_SQUARES = 0.455  # of normal numbers
+_DARK = 0.01  # share of the pixels that is darker than where a count of photons begins
+_LEAST_SHARE = 1e-6  # of the mean variance, below which no pixel is taken to be
 
 
 def scene_noise(residual: NDArray, frames: NDArray) -> NDArray[np.float32] | None:
-    """Return the deviation of the noise at each pixel as brightness and slope explain it.
-
-    The variance is fitted as a + b I + c |grad I|^2 with the background I: b is the shot noise of
-    a photon count, c the variance of what is left of a motion, of the camera or of leaves.
+    """Return how the noise of pixels differs by the brightness and the slopes of the scene.
 
     Parameters
     ----------
     residual : array, shape (T, H, W)
-        Frames without background, NaN where masked.
+        Real frames without background, NaN where masked.
     frames : array, shape (T, H, W)
-        With the background.
+        The same with it.
 
     Returns
     -------
     array of float32, shape (T, H, W), or None
-        None where the noise is the same everywhere.
+        Deviation of the noise, with a median of one, NaN where masked; None where nothing is
+        known of it.
     """
-    background = frames - residual
-    level = np.nanmin(background)
-    slope = _slope_power(background)
-    step = max(residual.size // _MOST_PIXELS, 1) | 1
-    r, i, s = (part.reshape(-1)[::step].astype(np.float64)
-               for part in (residual, background - level, slope))
-    known = np.isfinite(r) & np.isfinite(i) & np.isfinite(s)
-    if known.sum() < 1000:
+    n_pixels = residual[0].size
+    step = max(residual.size // _PIXELS, 1)
+    # Not the same pixels in every frame.
+    terms = np.concatenate(each_frame(
+        lambda frame, left, first: _terms(frame, left, first, step), frames, residual,
+        [(-t * n_pixels) % step for t in range(len(frames))]))
+    terms = terms[np.isfinite(terms).all(axis=1)]
+    if len(terms) < _LEAST_PIXELS:
         return None
-    power, terms = r[known]**2, np.stack([np.ones(known.sum()), i[known], s[known]], axis=1)
-    scales = np.maximum(terms.mean(axis=0), 1e-30)
-    terms = terms / scales
-    variance = np.full(len(power), np.median(power) / 0.455)
-    if not variance[0] > 0:
+    dark = float(np.quantile(terms[:, 1], _DARK))
+    factors = _fitted(terms[:, 0], np.column_stack([
+        np.ones(len(terms)), np.maximum(terms[:, 1] - dark, 0.0), terms[:, 2]]))
+    if factors is None:
         return None
+    noise = np.empty(residual.shape, np.float32)
+    least = _LEAST_SHARE * float(np.mean(terms[:, 0]))
+    each_frame(lambda frame, left, out: noise_at(frame, left, dark, factors, least, out),
+               frames, residual, noise)
+    noise /= np.nanmedian(noise[:, ::4, ::4])
+    return noise
+
+
+def _terms(frame: NDArray, residual: NDArray, first: int, step: int) -> NDArray[np.float64]:
+    out = np.empty((max(-(-(frame.size - first) // step), 0), 3))
+    terms_at(frame, residual, first, step, out)
+    return out
+
+
+def _fitted(power: NDArray, terms: NDArray) -> NDArray[np.float64] | None:
+    """Return factors of at least zero that make ``terms @ factors`` the mean of the powers.
+
+    Each round weighs pixels by the variance of the one before, and cuts powers beyond it.
+    """
+    sizes = np.maximum(terms.mean(axis=0), np.finfo(float).tiny)
+    scaled = terms / sizes
+    variance = np.full(len(power), float(np.median(power)) / _MEDIAN_OF_SQUARES)
     for _ in range(_ROUNDS):
-        seen = np.minimum(power, _OUTLYING**2 * variance) * 1.03
-        factors, _ = nnls(terms / variance[:, None], seen / variance)
-        if not factors.any():
+        if not variance[0] > 0:
             return None
-        variance = np.maximum(terms @ factors, 1e-6 * factors.sum())
-    if factors[0] <= 0 and not factors[1:].any():
-        return None
-    a, b, c = factors / scales
-    fitted = (np.float32(a) + np.float32(b) * (background - level)
-              + np.float32(c) * slope)
-    noise = np.sqrt(np.maximum(fitted, np.float32(1e-6 * factors.sum())))
-    return noise / np.nanmedian(noise)
-
-
-def _slope_power(frames: NDArray) -> NDArray[np.float32]:
-    """Return the squared slope of each pixel of each frame."""
-    power = np.empty_like(frames)
-    for frame, out in zip(frames, power, strict=True):
-        dy, dx = np.gradient(frame)
-        out[...] = dx**2 + dy**2
-    return power
+        seen = _CUT * np.minimum(power, _OUTLYING**2 * variance)
+        found, _ = nnls(scaled / variance[:, None], seen / variance)
+        variance = np.maximum(scaled @ found, _LEAST_SHARE * found.sum())
+    return found / sizes
