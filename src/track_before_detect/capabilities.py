@@ -203,7 +203,7 @@ COMBINATIONS = (
     Limit(_STREAKS, 'their columns are no places along which a target is smeared',
           when=_with('motion_model', 'range_doppler', 'range_bearing')),
     Limit(_STREAKS, 'a target is smeared along its motion in the frame, not on the registered '
-          'plane', when=_with('registration', 'translation', 'affine', 'homography')),
+          'plane', when=_with('registration', 'translation', 'affine', 'homography', 'auto')),
     Limit(_STREAKS, 'a streak has unit norm whatever its length, so what is constant of a target '
           'is not its amplitude', when=_with('amplitude_model', 'constant', 'either')),
     Limit(_STREAKS, 'streaks are searched by shapes that are near to theirs, which a certificate '

@@ -153,8 +153,10 @@ class DetectorOptions:
         optional=True)
     registration: str = declared(
         'none', 'How frames are aligned before the search: by a shift, or also by a turn and a '
-        'zoom (affine) and a slope of the scene (homography).', kind='text',
-        choices=('none', 'translation', 'affine', 'homography'))
+        'zoom (affine) and a slope of the scene (homography); auto takes for each batch the '
+        'simplest of none, translation and affine beside which no other leaves less of the '
+        'scene.', kind='text',
+        choices=('none', 'translation', 'affine', 'homography', 'auto'))
     background: str = declared(
         'none', 'How the background is removed; either searches without the temporal and without '
         'the spatial median, at half the rate each, for targets that move or hover.', kind='text',

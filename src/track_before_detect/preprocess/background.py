@@ -1,5 +1,7 @@
 """What does not move: estimated as a median over time and taken off."""
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -90,6 +92,25 @@ def remove_temporal_median(frames: NDArray, maps: NDArray) -> NDArray:
     # The frames on the plane are done with.
     each_frame(leave, residual, frames, gains, geometry.inverse(maps))
     return residual
+
+
+def remove_stripes(frames: NDArray) -> None:
+    """Take off in place what columns and rows of a sensor add to all its frames.
+
+    Where the scene moves in the frames, that stands still and is none of it.
+
+    Parameters
+    ----------
+    frames : array, shape (T, H, W)
+        Real frames without their scene, NaN where masked.
+    """
+    # A quarter of the pixels of a line tells its median well enough.
+    for axis, part in ((1, frames[::2, ::2]), (2, frames[::2, :, ::2])):
+        known = np.isfinite(part)
+        with warnings.catch_warnings():
+            warnings.simplefilter('ignore', RuntimeWarning)
+            lines = np.nanmedian(part, axis=(0, axis)) if known.any() else np.zeros(1)
+        frames -= np.expand_dims(np.nan_to_num(lines).astype(frames.dtype), axis - 1)
 
 
 def _gains(frames: NDArray, background: NDArray) -> NDArray[np.float32]:

@@ -11,6 +11,7 @@ from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.amplitude_scale import nearly_gaussian, recognised_scale
 from track_before_detect.preprocess.background import (
+    remove_stripes,
     remove_temporal_median,
     without_spatial_median,
 )
@@ -29,8 +30,10 @@ from track_before_detect.preprocess.noise_level import (
 )
 from track_before_detect.preprocess.per_frame import each_frame, KeptFrames, shown
 from track_before_detect.preprocess.registration import register_features, Registration
+from track_before_detect.preprocess.registration_choice import register_simply
 from track_before_detect.preprocess.registration_correlation import features_of
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
+from track_before_detect.preprocess.scene_noise import scene_noise
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
 from track_before_detect.types import FrameBatch, Remark
 
@@ -187,6 +190,8 @@ def noise_of_one(seen: PreparedBatch, batch: FrameBatch, options: DetectorOption
         return prepared
     if options.background in _STILL_SCENE:
         prepared = _without_still_scene(prepared)
+        if options.noise == 'local':
+            prepared = _with_even_noise(prepared, seen.frames)
         # No frame is again what it was in the batch before.
         kept = None
     kept = kept or KeptFrames()
@@ -302,7 +307,8 @@ def _registered(prepared: PreparedBatch, model: str, kept: KeptFrames) -> Prepar
     """Return a batch with the map from the plane to each frame, and say what is doubtful."""
     has_data = shown(prepared.frames)
     features = kept.each(features_of, prepared.frames, prepared.frame_indices)
-    registration = register_features(features, model)
+    registration = (register_simply(features) if model == 'auto'
+                    else register_features(features, model))
     prepared = replace(prepared, maps=registration.maps, registration=registration)
     doubtful = has_data & ~registration.credible
     if doubtful.any():
@@ -357,7 +363,15 @@ def _credible(registration: Registration | None) -> NDArray[np.float64] | None:
 def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:
     """Return a batch without what stands still on the registered plane."""
     left = remove_temporal_median(_real_parts(prepared.frames), prepared.maps)
+    if not np.array_equal(prepared.maps, np.broadcast_to(np.eye(3), prepared.maps.shape)):
+        remove_stripes(left)
     return replace(prepared, frames=left.view(prepared.frames.dtype))
+
+
+def _with_even_noise(prepared: PreparedBatch, frames: NDArray) -> PreparedBatch:
+    """Return a batch whose noise follows neither brightness nor slopes of the scene."""
+    noise = scene_noise(_real_parts(prepared.frames), _real_parts(frames))
+    return prepared if noise is None else _divided(prepared, noise)
 
 
 def _without_shading(prepared: PreparedBatch, width_px: float, kept: KeptFrames) -> PreparedBatch:

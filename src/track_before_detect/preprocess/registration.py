@@ -5,9 +5,10 @@ is at ``maps[t]`` of ``p`` in frame t. Without turns and zooms of the camera tha
 by correlation; Gauss-Newton steps find the rest.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import dataclasses
 from dataclasses import dataclass
+import functools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +17,7 @@ from track_before_detect import geometry
 from track_before_detect.parallel import map_in_threads
 from track_before_detect.preprocess.per_frame import each_frame
 from track_before_detect.preprocess.registration_correlation import CREDIBLE, features_of, match
-from track_before_detect.preprocess.registration_gauss_newton import align
+from track_before_detect.preprocess.registration_gauss_newton import align, Template
 from track_before_detect.preprocess.resampling import warped
 
 _MOST_UNCERTAIN_PX = 0.5  # at a corner, of a map that is believed
@@ -84,7 +85,8 @@ def register(frames: NDArray, model: str = 'translation') -> Registration:
     return register_features(each_frame(features_of, frames), model)
 
 
-def register_features(features: Sequence[NDArray], model: str) -> Registration:
+def register_features(features: Sequence[NDArray], model: str,
+                      reference: int | None = None) -> Registration:
     """Find where the scene of the middle frame is in each frame, see :func:`register`.
 
     Parameters
@@ -95,7 +97,8 @@ def register_features(features: Sequence[NDArray], model: str) -> Registration:
         ``'translation'``, ``'affine'`` or ``'homography'``.
     """
     n_frames = len(features)
-    reference = _reference(features)
+    if reference is None:
+        reference = _reference(features)
     maps = np.full((n_frames, 3, 3), np.nan)
     quality = np.zeros(n_frames)
     refined = np.ones(n_frames, dtype=bool)
@@ -103,10 +106,15 @@ def register_features(features: Sequence[NDArray], model: str) -> Registration:
     quality[reference] = np.inf
     place = _shifted if model == 'translation' else _aligned
 
+    # Most frames are compared with the same one.
+    @functools.cache
+    def template(key: int, kind: int) -> Template:
+        return Template(features[key][kind])
+
     def follow(order: range) -> None:
         key = last = reference
         for index in order:
-            placed = place(features, maps, key, last, index, model)
+            placed = place(features, maps, key, last, index, model, template)
             quality[index], refined[index] = placed.peak, placed.refined
             if placed.peak >= CREDIBLE:
                 maps[index] = placed.matrix @ maps[placed.key]
@@ -148,7 +156,7 @@ class _Placed:
 
 
 def _shifted(features: Sequence[NDArray], maps: NDArray, key: int, last: int, index: int,
-             _: str = '') -> _Placed:
+             *_: object) -> _Placed:
     """Find the shift of a frame against the key frame, or against the last one placed."""
     height, width = features[index].shape[1:]
     guess = np.rint(maps[last, :2, 2] - maps[key, :2, 2]).astype(int)
@@ -162,7 +170,7 @@ def _shifted(features: Sequence[NDArray], maps: NDArray, key: int, last: int, in
 
 
 def _aligned(features: Sequence[NDArray], maps: NDArray, key: int, last: int, index: int,
-             model: str) -> _Placed:
+             model: str, template: Callable[[int, int], Template]) -> _Placed:
     """Find the map from the key frame, or from the last one placed, to a frame."""
     unmoved = np.zeros(2, dtype=int)
     found = match(features[last], features[index], unmoved)
@@ -172,7 +180,7 @@ def _aligned(features: Sequence[NDArray], maps: NDArray, key: int, last: int, in
     start = shift @ maps[last] @ geometry.inverse(maps[key])
     if key != last and _common_share(start, features[key].shape[1:]) < _LEAST_OVERLAP:
         key, start = last, shift
-    alignment = align(features[key][found.kind], features[index][found.kind], start, model)
+    alignment = align(template(key, found.kind), features[index][found.kind], start, model)
     if alignment.uncertainty_px <= _MOST_UNCERTAIN_PX:
         moved = np.stack([warped(image, alignment.matrix) for image in features[index]])
         after = match(features[key], np.nan_to_num(moved, copy=False), unmoved)

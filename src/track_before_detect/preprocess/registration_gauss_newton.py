@@ -49,13 +49,45 @@ class Alignment:
     uncertainty_px: float
 
 
-def align(fixed: NDArray, moving: NDArray, start: NDArray, model: str) -> Alignment:
+class Template:
+    """An image that others are compared with, at points that are chosen once.
+
+    Parameters
+    ----------
+    image : array, shape (H, W)
+        Features: noise and scene of unit deviation about 0, 0 where masked.
+    """
+
+    def __init__(self, image: NDArray):
+        self.shape = image.shape
+        self._stride = max(2, round(np.sqrt(image.size / (_CANDIDATES * _MOST_POINTS))))
+        self.points = [self._chosen(ndimage.gaussian_filter(image, blur)) for blur in _BLURS_PX]
+        # The blur makes the residual of neighbouring points one.
+        self.alike = [4 * np.pi * blur**2 / self._stride**2 for blur in _BLURS_PX]
+
+    def _chosen(self, image: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return points (N, 2) where an image changes most, in every tile, and what is there."""
+        slope = np.hypot(ndimage.sobel(image, 0), ndimage.sobel(image, 1))
+        rows, columns = np.mgrid[self._stride // 2:image.shape[0]:self._stride,
+                                 self._stride // 2:image.shape[1]:self._stride]
+        points = np.column_stack([columns.ravel(), rows.ravel()])
+        tile = (points * _TILES // np.array(image.shape[::-1])) @ (1, _TILES)
+        strength = slope[points[:, 1], points[:, 0]]
+        order = np.lexsort((-strength, tile))
+        rank = np.arange(len(order)) - np.searchsorted(tile[order], tile[order])
+        chosen = points[order[(rank < _MOST_POINTS // _TILES**2) & (strength[order] > 0)]]
+        return chosen.astype(float), _sampled(image, chosen.astype(float))
+
+
+def align(template: Template, moving: NDArray, start: NDArray, model: str) -> Alignment:
     """Find the map under which two images agree, near a first guess.
 
     Parameters
     ----------
-    fixed, moving : array, shape (H, W)
-        Features: noise and scene of unit deviation about 0, 0 where masked.
+    template : Template
+        Of the fixed image.
+    moving : array, shape (H, W)
+        Features as those of the template.
     start : array, shape (3, 3)
         First guess, right to some pixels.
     model : str
@@ -66,12 +98,10 @@ def align(fixed: NDArray, moving: NDArray, start: NDArray, model: str) -> Alignm
     Alignment
         The map, and how far it can be trusted.
     """
-    problem = _Problem(fixed.shape, start, N_PARAMETERS[model])
+    problem = _Problem(template, start, N_PARAMETERS[model])
     parameters = np.zeros(problem.n_parameters)
-    for blur in _BLURS_PX:
-        template = ndimage.gaussian_filter(fixed, blur)
-        image = ndimage.gaussian_filter(moving, blur)
-        problem.choose_points(template, image, blur, parameters)
+    for number, blur in enumerate(_BLURS_PX):
+        problem.compare(number, ndimage.gaussian_filter(moving, blur), parameters)
         if problem.n_points <= problem.n_parameters:
             return Alignment(start, np.inf)
         for _ in range(_MOST_STEPS):
@@ -92,10 +122,11 @@ class _Problem:
     parameters of which one unit is about a pixel at the border.
     """
 
-    def __init__(self, shape: tuple[int, ...], start: NDArray, n_parameters: int):
+    def __init__(self, template: Template, start: NDArray, n_parameters: int):
         self.n_parameters = n_parameters
         self.n_points = 0
-        self._size = np.array([shape[1], shape[0]])
+        self._fixed = template
+        self._size = np.array(template.shape[::-1])
         self._middle = 0.5 * (self._size - 1)
         self._scale = 0.5 * float(np.hypot(*self._size))
         self._normal = np.diag([1.0, 1.0, self._scale])
@@ -108,28 +139,15 @@ class _Problem:
         matrix = self._outer @ self._change(parameters) @ self._normal
         return matrix / matrix[2, 2]
 
-    def choose_points(self, template: NDArray, image: NDArray, blur: float,
-                      parameters: NDArray) -> None:
-        """Choose the points to compare: where the template changes most, in every tile."""
-        slope = np.hypot(ndimage.sobel(template, 0), ndimage.sobel(template, 1))
-        stride = max(2, round(np.sqrt(template.size / (_CANDIDATES * _MOST_POINTS))))
-        rows, columns = np.mgrid[stride // 2:template.shape[0]:stride,
-                                 stride // 2:template.shape[1]:stride]
-        points = np.column_stack([columns.ravel(), rows.ravel()])
+    def compare(self, number: int, image: NDArray, parameters: NDArray) -> None:
+        """Compare an image from now on with the template under a blur, where both show it."""
+        points, seen = self._fixed.points[number]
         map_position = geometry.apply(self.matrix(parameters), points)
         inside = np.all((map_position >= 0) & (map_position <= self._size - 1), axis=1)
-        points = points[inside]
-        tile = (points * _TILES // self._size) @ (1, _TILES)
-        strength = slope[points[:, 1], points[:, 0]]
-        order = np.lexsort((-strength, tile))
-        rank = np.arange(len(order)) - np.searchsorted(tile[order], tile[order])
-        chosen = points[order[(rank < _MOST_POINTS // _TILES**2) & (strength[order] > 0)]]
-        self.n_points = len(chosen)
-        self._points = chosen.astype(float)
-        seen = _sampled(template, self._points)
+        self._points, seen = points[inside], seen[inside]
+        self.n_points = len(seen)
         self._template, self._template_slope = seen[:, 0], seen[:, 1:]
-        self._image = image
-        self._alike = 4 * np.pi * blur**2 / stride**2
+        self._image, self._alike = image, self._fixed.alike[number]
 
     def equations(self, parameters: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the normal equations of a Gauss-Newton step, matrix and right side."""
@@ -152,7 +170,6 @@ class _Problem:
         least, most = np.linalg.eigvalsh(shared)[[0, -1]]
         if not least > most / _WORST_CONDITION:
             return np.inf
-        # the blur makes the residual of neighbouring points one
         covariance = max(self._alike, 1.0) * spread**2 * np.linalg.inv(shared)
         corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)]) * (self._size - 1)
         at_corners = self._motion(corners, parameters)

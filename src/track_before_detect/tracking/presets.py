@@ -41,7 +41,7 @@ _SCENE: Mapping[str, Any] = {
 PRESETS: Mapping[str, Mapping[str, Any]] = {
     NONE: {},
     'eoir_static': _SCENE,
-    'eoir_moving': {**_SCENE, 'registration': 'translation', 'search_plane': 'image'},
+    'eoir_moving': {**_SCENE, 'registration': 'auto', 'search_plane': 'image'},
     'radar_range_doppler': {
         'motion_model': 'range_doppler', 'background': 'temporal_median', 'noise': 'map',
         'batch_length': 20},
@@ -147,7 +147,7 @@ def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
     reach = float(np.ptp(registration.offsets[registration.credible], axis=0).max())
     return {**PRESETS['eoir_moving'], **chosen}, [
         *words, f'the picture moves by {reach:.2g} px within {len(frames)} frames: '
-        'registration=translation, search on the image']
+        'registration=auto, search on the image']
 
 
 def _is_unit_noise(frames: NDArray) -> bool:
