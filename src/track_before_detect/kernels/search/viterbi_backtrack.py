@@ -84,8 +84,23 @@ def _live_on(reached, scores, t, y, x, v, motion, layout):
 
 
 @numba.njit(**EXACT)
-def _best_end(tables, places, scores, j, y, x, motion, layout):
-    """Return velocity and last frame of the best path that starts its last segment j at (y, x)."""
+def best_end(tables, places, scores, j, y, x, motion, layout):
+    """Return how the best path that starts its last segment j at (y, x) goes on.
+
+    Parameters
+    ----------
+    tables : float32, flat
+    places : int64 (J - 1, Y, V)
+        Where the states of each segment but the last lie in the tables, as in the module
+        ``viterbi``.
+
+    Returns
+    -------
+    int, int
+        Velocity and last frame.
+    float
+        Its weight, of what it meets in the last segment in double precision.
+    """
     best, velocity, last = ABSENT, 0, motion.knots[j + 1] - 1
     for v in range(layout.n_v):
         _, reached, _ = _best_arrival(tables, places, j, y, x, v, motion, layout)
@@ -94,46 +109,48 @@ def _best_end(tables, places, scores, j, y, x, motion, layout):
             end = reached if t == motion.moves.shape[0] - 1 else reached - motion.leaving
             if end > best:
                 best, velocity, last = end, v, t
-    return velocity, last
-
-
-@numba.njit(**EXACT)
-def follow_back(positions, velocities, starts, tables, places, scores, j, y, x, motion, layout):
-    """Write positions and velocities of the best path that starts its last segment j at (y, x).
-
-    Parameters
-    ----------
-    positions : float64 (T, 2)
-        Receives x and y in grid steps, NaN where the path is absent.
-    velocities : int64 (T,)
-        Receives the velocity, where it is present.
-    starts : int64 (J, 2)
-        Receives x and y of its starts of segments, also of those that it would go on to.
-    tables : float32, flat
-    places : int64 (J - 1, Y, V)
-        Where the states of each segment but the last lie in the tables, as in the module
-        ``viterbi``.
-
-    Returns its weight, of what it meets in the last segment in double precision, and the steps of
-    its turns.
-    """
-    positions[:] = np.nan
-    velocity, last = _best_end(tables, places, scores, j, y, x, motion, layout)
-    starts[j, 0], starts[j, 1] = x, y
-    for later in range(j + 1, starts.shape[0]):
-        for axis in range(2):
-            starts[later, axis] = (starts[later - 1, axis]
-                                   + motion.end_moves[later - 1, velocity, axis])
     _, reached, _ = _best_arrival(tables, places, j, y, x, velocity, motion, layout)
     value = np.float64(reached)
     for t in range(motion.knots[j], last + 1):
         value = _live_on(value, scores, t, y, x, velocity, motion, layout)
     if last < motion.moves.shape[0] - 1:
         value -= motion.leaving
+    return velocity, last, value
+
+
+@numba.njit(**EXACT)
+def follow_back(positions, velocities, starts, tables, places, scores, j, y, x, velocity, last,
+                stop, motion, layout):
+    """Write positions and velocities of the best path that is at (y, x) when segment j starts.
+
+    Parameters
+    ----------
+    positions : float64 (T, 2)
+        Receives x and y in grid steps, where the path is present.
+    velocities : int64 (T,)
+        Receives the velocity there.
+    starts : int64 (J, 2)
+        Receives x and y of its starts of segments.
+    tables, places
+        As of ``best_end``.
+    velocity, last : int
+        In segment j, and the last frame there.
+    stop : int
+        Segment at whose start it is followed no further.
+
+    Returns
+    -------
+    int, int, int, int
+        The segment that is left to be followed, y, x and velocity there; below zero where the path
+        is no more.
+    int
+        Steps of its turns.
+    """
     turns = 0
-    while True:
+    while j > stop or j == 0:
         first = motion.knots[j]
-        arriving, reached, turned = _best_arrival(tables, places, j, y, x, velocity, motion, layout)
+        arriving, reached, turned = _best_arrival(tables, places, j, y, x, velocity, motion,
+                                                  layout)
         entered = first
         goes_on = j > 0 and reached > -motion.entry
         for t in range(first, last + 1):
@@ -148,11 +165,12 @@ def follow_back(positions, velocities, starts, tables, places, scores, j, y, x, 
         if not goes_on:
             for earlier in range(j):
                 starts[earlier] = NOWHERE
-            return value, turns
+            return -1, y, x, velocity, turns
         turns += turned
         velocity, j, last = arriving, j - 1, first - 1
         x -= motion.end_moves[j, velocity, 0]
         y -= motion.end_moves[j, velocity, 1]
+    return j, y, x, velocity, turns
 
 
 @numba.njit(**EXACT)

@@ -2,7 +2,8 @@
 
 A row of a segment is read for the rows of the next that its paths arrive in, and for nothing else.
 Where the whole table is too large, the segments are therefore computed in turns, a few rows of
-each at a time, and hold only the rows that the next has still to read. No state is computed twice.
+each at a time, and the first segments hold only the rows that the next has still to read. No state
+is computed twice.
 """
 
 from collections.abc import Iterator
@@ -26,26 +27,36 @@ class HeldRows:
         The segments.
     layout : Layout
         How long a row is.
-    whole : bool
-        Whether all rows are held.
+    most_bytes : float
+        Memory for them. As many of the last segments as fit are held as a whole, for what changes
+        is computed from the last segment that is, and the others hold as little as they can, even
+        where that is more.
 
     Attributes
     ----------
-    all_held : bool
-        Whether all rows are, asked for or not.
+    whole : array of bool, shape (J - 1,)
+        Which segments hold all rows.
     """
 
-    def __init__(self, graph: StateGraph, layout: Layout, whole: bool):
+    def __init__(self, graph: StateGraph, layout: Layout, most_bytes: float):
         self._layout, self._n_segments = layout, graph.n_segments
         rows_of_moves = graph.end_moves[:-1, :, 1]
         ahead = np.maximum(0, -rows_of_moves.min(axis=1))
-        heights = min(layout.n_y, self._at_once) + ahead + np.maximum(0, rows_of_moves.max(axis=1))
-        if whole:
-            heights[:] = layout.n_y
-        self._heights = np.minimum(heights, layout.n_y)
+        self._heights = np.minimum(
+            layout.n_y, self._at_once + ahead + np.maximum(0, rows_of_moves.max(axis=1)))
+        for j in range(len(self._heights) - 1, -1, -1):
+            few, self._heights[j] = self._heights[j], layout.n_y
+            if self.n_bytes > most_bytes:
+                self._heights[j] = few
+                break
         # Rows by which a segment is behind the first.
         self._lags = np.cumsum(np.append(0, ahead))
-        self.all_held = bool(np.all(self._heights == layout.n_y))
+        self.whole = self._heights == layout.n_y
+
+    @property
+    def n_bytes(self) -> int:
+        """Memory that the rows take."""
+        return np.dtype(np.float32).itemsize * self.size
 
     @property
     def size(self) -> int:
@@ -63,8 +74,9 @@ class HeldRows:
     def turns(self) -> Iterator[tuple[int, int, int]]:
         """Yield which segment to compute next, from which row on, and the one past the last."""
         n_y = self._layout.n_y
-        at_once = n_y if self.all_held else self._at_once
-        lags = np.zeros_like(self._lags) if self.all_held else self._lags
+        at_once, lags = self._at_once, self._lags
+        if self.whole.all():
+            at_once, lags = n_y, np.zeros_like(lags)
         for progress in range(0, n_y + int(lags[-1]), at_once):
             for j, lag in enumerate(lags):
                 first, last = np.clip((progress - lag, progress + at_once - lag), 0, n_y)

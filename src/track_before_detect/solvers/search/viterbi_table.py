@@ -7,7 +7,8 @@ Only the states whose paths meet a change, and may pass the threshold, are then 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, NamedTuple
+import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,37 +26,12 @@ from track_before_detect.solvers.search.compiled_graph import (
     segment_of,
 )
 from track_before_detect.solvers.search.held_rows import HeldRows
-from track_before_detect.solvers.search.path_cone import NO_ENDS, NO_STATES, PathCone
+from track_before_detect.solvers.search.path_cone import NO_ENDS, NO_STATES, place_of_cone
+from track_before_detect.solvers.search.path_tracer import PathTracer, TracedPath
 
 # A state costs this much more where some are computed than where all are
 # (docs/constants/search.md).
 COST_OF_UPDATE = 2.2
-
-
-class TracedPath(NamedTuple):
-    """A path on the grid that is searched.
-
-    Attributes
-    ----------
-    positions : array, shape (T, 2)
-        x and y in grid steps, NaN where the path is absent.
-    velocities : array of int, shape (T,)
-        Number of the velocity in each frame where it is present.
-    value : float
-        Its weight.
-    turn_cost : float
-        Cost of its turns.
-    """
-
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.int64]
-    value: float
-    turn_cost: float
-
-    @property
-    def frames(self) -> NDArray[np.int64]:
-        """Numbers of the frames where the path is present."""
-        return np.flatnonzero(np.isfinite(self.positions[:, 0]))
 
 
 class RowThreads:
@@ -109,9 +85,10 @@ class ViterbiTable:
     presence : Presence, optional
         Cost of entering and leaving, where targets may do so during the batch; what a frame costs
         is told with the scores.
-    whole : bool
-        Whether all states are kept. Otherwise each is computed when it is needed, and only while
-        it is it takes memory; what comes out is the same.
+    most_bytes : float
+        Memory that it may take, see :func:`table_bytes`. Where that is less than for all states,
+        those of the first segments are computed whenever they are needed, and take memory only
+        while they are; what comes out is the same.
 
     Attributes
     ----------
@@ -122,7 +99,7 @@ class ViterbiTable:
 
     def __init__(self, graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1,
                  kinds: NDArray | None = None, presence: Presence | None = None,
-                 whole: bool = True):
+                 most_bytes: float = math.inf):
         self._graph = graph
         self._layout = layout_of(graph, grid_shape)
         self._over_rows = RowThreads(grid_shape[0], n_threads)
@@ -133,9 +110,11 @@ class ViterbiTable:
                           for j in range(graph.n_segments)]
         self._end_costs = [end_costs_of(presence, j == graph.n_segments - 1)
                            for j in range(graph.n_segments)]
-        self._rows = HeldRows(graph, self._layout, whole)
-        self._cones: dict[int, PathCone] = {}
         self._n_ends = graph.n_segments if presence else 1
+        self._rows = HeldRows(graph, self._layout, most_bytes - _other_bytes(
+            graph, self._layout, presence, self._n_kinds))
+        self._tracer = PathTracer(graph, self._layout, self._motion, self._segments,
+                                  self._end_costs, self._rows.whole)
         self._grid_shape = grid_shape
         # Memory is taken when the first search asks for it.
         self.best = np.empty((0, 0, 0), np.float32)
@@ -221,31 +200,27 @@ class ViterbiTable:
         starts = np.empty((self._graph.n_segments, 2), np.int64)
         # Rounding leaves much of what is absent.
         above = max(above, 0.5 * float(ABSENT))
-        found: list[TracedPath] = []
-        while len(found) < limit:
-            end, y, x = viterbi_backtrack.next_peak(best, at)
-            peak = best[end, y, x]
-            if not peak > above:
+        first = self._graph.n_segments - self._n_ends
+        self._tracer.begin(self._scores, self._tables, self._places)
+        peaks: list[tuple[int, int, int]] = []
+        found: dict[tuple[int, int, int], TracedPath] = {}
+        while len(peaks) < limit:
+            end, y, x = peak = viterbi_backtrack.next_peak(best, at)
+            if not best[peak] > above:
                 break
-            positions = np.empty((self._graph.n_frames, 2))
-            velocities = np.zeros(self._graph.n_frames, np.int64)
-            segment = self._graph.n_segments - self._n_ends + end
-            value, turns = viterbi_backtrack.follow_back(
-                positions, velocities, starts, *self._led_to(segment, y, x), self._scores,
-                segment, y, x, self._motion, self._layout)
-            found.append(TracedPath(positions, velocities,
-                                    float(peak) if self._end_costs[0] is None else value,
-                                    self._graph.turn_cost * turns))
-            viterbi_backtrack.leave_out(best, at, starts[-self._n_ends:], radius)
-        return found
-
-    def _led_to(self, j: int, y: int, x: int) -> tuple[NDArray, NDArray[np.int64]]:
-        """Return the states by which paths may have come to start segment j at (y, x)."""
-        if self._rows.all_held:
-            return self._tables, self._places
-        if j not in self._cones:
-            self._cones[j] = PathCone(self._segments[:j + 1], self._layout, self._end_costs)
-        return self._cones[j].fill(self._scores, y, x)
+            peaks.append(peak)
+            if self._n_ends == 1:
+                # Where it ends is known, so it may be traced together with its neighbours.
+                starts[-1] = x, y
+            else:
+                found[peak] = self._tracer.trace(first + end, y, x, starts)
+            viterbi_backtrack.leave_out(best, at, starts[first:], radius)
+        if self._n_ends == 1:
+            found = {peak: self._tracer.trace(first, *peak[1:], starts)
+                     for peak in sorted(peaks, key=lambda peak: place_of_cone(*peak))}
+        if self._end_costs[0] is None:
+            return [found[peak]._replace(value=float(self.best[peak])) for peak in peaks]
+        return [found[peak] for peak in peaks]
 
     @property
     def _n_blocks(self) -> int:
@@ -299,8 +274,8 @@ class ViterbiTable:
         self._over_rows(viterbi_update.replace_scores, self._scores, score_marks, rise,
                         self._largest, scores, np.float32(per_frame), rows, layout)
         before = np.empty((0, layout.n_v), np.uint64)
-        if not self._rows.all_held:
-            self._stale.fill(0)
+        # Of what is not held, only what changes now matters.
+        self._stale[:-1][~self._rows.whole] = 0
         for j, stale in enumerate(self._stale):
             frames = slice(self._graph.knots[j], self._graph.knots[j + 1])
             self._over_rows(viterbi_update.changed_states, stale, before, score_marks[frames],
@@ -325,7 +300,7 @@ class ViterbiTable:
                 self._over_rows(viterbi_update.spread_turns, near, wanted[j + 1],
                                 self._segments[j + 1])
                 self._over_rows(viterbi_update.wanted_before, wanted[j],
-                                self._stale[j] if self._rows.all_held else not_held, near,
+                                self._stale[j] if self._rows.whole[j] else not_held, near,
                                 self._segments[j + 1].arrival, self._layout)
             end = self._end_of(j)
             if end >= 0:
@@ -336,10 +311,25 @@ class ViterbiTable:
 
 
 def table_bytes(graph: StateGraph, grid_shape: tuple[int, int],
-                presence: Presence | None = None, whole: bool = True) -> int:
-    """Return the memory that a table takes once it is filled."""
+                presence: Presence | None = None, n_kinds: int = 1,
+                most_bytes: float = math.inf) -> int:
+    """Return the memory that a table takes once it is filled, which is more than it may at times.
+
+    Parameters
+    ----------
+    graph, grid_shape, presence, most_bytes
+        As of :class:`ViterbiTable`.
+    n_kinds : int
+        How many scores there are.
+    """
     layout = layout_of(graph, grid_shape)
+    others = _other_bytes(graph, layout, presence, n_kinds)
+    return others + HeldRows(graph, layout, most_bytes - others).n_bytes
+
+
+def _other_bytes(graph: StateGraph, layout: viterbi.Layout, presence: Presence | None,
+                 n_kinds: int) -> int:
+    """Return the memory that a table takes for scores and for the best ends."""
     n_ends = graph.n_segments if presence else 1
-    return NO_STATES.itemsize * (
-        HeldRows(graph, layout, whole).size
-        + layout.n_y * (graph.n_frames * layout.stride + n_ends * layout.n_x))
+    return NO_STATES.itemsize * layout.n_y * (
+        n_kinds * graph.n_frames * layout.stride + n_ends * layout.n_x)
