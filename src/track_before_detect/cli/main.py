@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(format='tbd: %(levelname)s: %(message)s', level=logging.WARNING)
     # We say how much memory a search is going to take.
-    logging.getLogger(track_before_detect.__name__).setLevel(logging.INFO)
+    logging.getLogger(__name__.partition('.')[0]).setLevel(logging.INFO)
     _prepare_output()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _terminate)

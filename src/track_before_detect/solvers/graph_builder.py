@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.memory import BYTES_PER_GB
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.motion.range_doppler import build_range_doppler_graph
@@ -20,6 +19,7 @@ from track_before_detect.models.presence import Presence
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import searched_speed
 from track_before_detect.solvers.search.affordable import affordable
+from track_before_detect.solvers.search.memory import BYTES_PER_GB
 from track_before_detect.timestamps import median_interval
 
 # Largest acceleration unless given: the maximum speed within this many frame intervals.

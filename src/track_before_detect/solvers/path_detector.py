@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
-from track_before_detect.memory import BYTES_PER_GB, memory_for_search
 from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.measurement.streak import StreakPsf
@@ -37,6 +36,7 @@ from track_before_detect.solvers.path_statistic import PathStatistic
 from track_before_detect.solvers.refine.refinement import refiner_for
 from track_before_detect.solvers.refine.target_model import NO_WEIGHTS, TargetModel
 from track_before_detect.solvers.search.affordable import search_bytes
+from track_before_detect.solvers.search.memory import BYTES_PER_GB, memory_for_search
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
 from track_before_detect.solvers.search.periodic_columns import (
     columns_of,

@@ -1,11 +1,19 @@
 """What ``tbd bench`` can measure, by name."""
 
 from track_before_detect.errors import named
-from track_before_detect.evaluation.benchmarks import convex, dp, fit, parallel, velocity_filter
+from track_before_detect.evaluation.benchmarks import (
+    convex,
+    dp,
+    fit,
+    memory,
+    parallel,
+    velocity_filter,
+)
 from track_before_detect.evaluation.benchmarks.bench import Bench
 
 BENCHES: dict[str, Bench] = {
-    one.BENCH.name: one.BENCH for one in (convex, dp, fit, parallel, velocity_filter)}
+    one.BENCH.name: one.BENCH for one in (
+        convex, dp, fit, memory, parallel, velocity_filter)}
 
 
 def bench_named(name: str) -> Bench:

@@ -1,8 +1,8 @@
 """All that the paths to a few positions may have come by, computed anew.
 
-Paths fan out slowly: they turn by few steps between two segments. So what the paths to neighbouring
-positions may have come by is a small part of the table, and where that was not kept it is computed
-again, by the same loops and to the same last bit.
+Paths fan out slowly: they turn by few steps between two segments. So what the paths to
+neighbouring positions may have come by is a small part of the table, and where that was not kept
+it is computed again, by the same loops and to the same last bit.
 """
 
 from collections.abc import Sequence
@@ -51,6 +51,40 @@ class _Extent(NamedTuple):
     width: int
 
 
+class ConeRoom:
+    """Room for the states of a cone, used again for the next: clearing all of it takes longer.
+
+    Attributes
+    ----------
+    tables : array of float32, flat
+        The states.
+    places : array of int64, shape (J - 1, Y, V)
+        Where they lie, as of ``viterbi_backtrack.best_end``.
+    marks : array of uint64, shape (Y, V)
+        Work space, zero.
+    """
+
+    def __init__(self, layout: viterbi.Layout, n_segments: int):
+        self.tables = NO_STATES
+        self.places = np.zeros((n_segments - 1, layout.n_y, layout.n_v), np.int64)
+        self.marks = np.zeros(self.places.shape[1:], np.uint64)
+        self._used: list[tuple[int, slice]] = []
+
+    def clear(self, size: int) -> None:
+        """Forget what is here, and make room for so many numbers."""
+        if len(self.tables) < size:
+            self.tables = np.empty(size, np.float32)
+        self.tables[:size] = ABSENT
+        for j, rows in self._used:
+            self.places[j, rows] = 0
+        self._used = []
+
+    def use(self, j: int, rows: slice) -> None:
+        """Remember that states of these rows of a segment were placed; clear their marks."""
+        self._used.append((j, rows))
+        self.marks[rows] = 0
+
+
 class PathCone:
     """What the paths that start a segment in some place may have come by.
 
@@ -65,11 +99,6 @@ class PathCone:
     velocity : int, optional
         That of the paths in their last segment, which then start it all in one position; unless
         given, all that start it in ``SIDE`` rows and columns, with whatever velocity.
-
-    Attributes
-    ----------
-    size : int
-        Numbers that their states take.
     """
 
     def __init__(self, segments: Sequence[viterbi.Segment], layout: viterbi.Layout,
@@ -95,39 +124,27 @@ class PathCone:
         sizes = [extent.height * len(extent.velocities) * extent.width for extent in self._extents]
         # Blocks are read to their ends, also where no path is.
         self._first = (layout.guard + np.cumsum([0, *sizes])).tolist()
-        self.size = self._first[-1] + layout.guard
+        self._size = self._first[-1] + layout.guard
 
-    def fill(self, tables: NDArray, scores: NDArray, y: int, x: int) -> NDArray[np.int64]:
+    def fill(self, room: ConeRoom, scores: NDArray, y: int, x: int) -> None:
         """Compute all that may lead to the positions from (y, x) on.
 
-        Parameters
-        ----------
-        tables : array of float32, shape (size or more,)
-            Receives the states.
-        scores : array of float32, flat
-            As in the module ``viterbi``.
-
-        Returns
-        -------
-        array of int64, shape (J - 1, Y, V)
-            Where the states lie, as of ``viterbi_backtrack.best_end``.
+        ``scores`` are flat, as in the module ``viterbi``.
         """
-        n_y, n_v = self._layout.n_y, self._layout.n_v
-        tables[:self.size] = ABSENT
-        places = np.zeros((len(self._extents), n_y, n_v), np.int64)
-        nowhere = np.zeros(n_y, np.uint64)
+        room.clear(self._size)
         before = NO_STATES
         for j, extent in enumerate(self._extents):
-            marks, rows = self._mark(places[j], self._first[j], extent, y, x)
-            viterbi.extend_paths(tables, NO_ENDS, before, scores,
-                                 placed(self._segments[j], j, places), self._layout,
-                                 self._end_costs[j], marks, nowhere, *rows)
-            before = tables
-        return places
+            rows = self._mark(room.marks, room.places[j], self._first[j], extent, y, x)
+            viterbi.extend_paths(room.tables, NO_ENDS, before, scores,
+                                 placed(self._segments[j], j, room.places), self._layout,
+                                 self._end_costs[j], room.marks, room.marks[:, 0].copy(),
+                                 rows.start, rows.stop)
+            room.use(j, rows)
+            before = room.tables
 
-    def _mark(self, places: NDArray, first: int, extent: _Extent, y: int, x: int,
-              ) -> tuple[NDArray[np.uint64], tuple[int, int]]:
-        """Write where the states of a segment lie; return their blocks (Y, V), and their rows."""
+    def _mark(self, marks: NDArray, places: NDArray, first: int, extent: _Extent, y: int,
+              x: int) -> slice:
+        """Write which states of a segment there are, and where they lie; return their rows."""
         layout, v = self._layout, extent.velocities
         (left, top), (right, bottom) = ((x, y) + extent.low).T, ((x, y) + extent.high).T
         k = np.arange(extent.height)[:, None]
@@ -138,13 +155,12 @@ class PathCone:
         last_block = np.clip(right // layout.block, 0, BLOCKS - 1).astype(_U)
         blocks = (~_U(0) << first_block) & (~_U(0) >> (_U(BLOCKS - 1) - last_block))
         blocks &= ~_U(0) >> _U(BLOCKS + layout.lanes // -layout.block)
-        marks = np.zeros((layout.n_y, layout.n_v), np.uint64)
         begin = first + (k * len(v) + np.arange(len(v))) * extent.width
         begin -= left // layout.block * layout.block
         seen, number = rows[held], np.nonzero(held)[1]
         marks[seen, v[number]] = blocks[number]
         places[seen, v[number]] = begin[held]
-        return marks, (int(seen.min()), int(seen.max()) + 1) if len(seen) else (0, 0)
+        return slice(int(seen.min()), int(seen.max()) + 1) if len(seen) else slice(0, 0)
 
 
 def _largest_near(values: NDArray[np.int64], turns: viterbi.Turns) -> NDArray[np.int64]:

@@ -8,7 +8,12 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.search import viterbi, viterbi_backtrack
 from track_before_detect.models.motion.state_graph import StateGraph
-from track_before_detect.solvers.search.path_cone import NO_STATES, PathCone, place_of_cone
+from track_before_detect.solvers.search.path_cone import (
+    ConeRoom,
+    NO_STATES,
+    PathCone,
+    place_of_cone,
+)
 
 
 class TracedPath(NamedTuple):
@@ -61,8 +66,9 @@ class PathTracer:
         self._segments, self._end_costs, self._whole = segments, end_costs, whole
         # By last segment, and by that and its velocity.
         self._cones: dict[tuple[int, int | None], PathCone] = {}
-        self._scores = self._tables = self._wide = self._narrow = NO_STATES
-        self._places = self._wide_places = np.empty((0, 0, 0), np.int64)
+        self._scores = self._tables = NO_STATES
+        self._places = np.empty((0, 0, 0), np.int64)
+        self._rooms: dict[str, ConeRoom] = {}
         self._wide_place: tuple[int, ...] = ()
 
     def begin(self, scores: NDArray, tables: NDArray, places: NDArray[np.int64]) -> None:
@@ -107,26 +113,21 @@ class PathTracer:
         """Return what may lead to the start of segment j at (y, x) and beside it."""
         place = place_of_cone(j, y, x)
         if place != self._wide_place:
-            cone = self._cone(j, None)
-            self._wide = _room(self._wide, cone.size)
-            self._wide_places = cone.fill(self._wide, self._scores, *place[1:])
+            self._fill('wide', j, None, *place[1:])
             self._wide_place = place
-        return self._wide, self._wide_places
+        return self._rooms['wide'].tables, self._rooms['wide'].places
 
     def _before(self, j: int, y: int, x: int,
                 velocity: int) -> tuple[NDArray, NDArray[np.int64]]:
         """Return what may lead to one state of segment j."""
-        cone = self._cone(j, velocity)
-        self._narrow = _room(self._narrow, cone.size)
-        return self._narrow, cone.fill(self._narrow, self._scores, y, x)
+        self._fill('narrow', j, velocity, y, x)
+        return self._rooms['narrow'].tables, self._rooms['narrow'].places
 
-    def _cone(self, j: int, velocity: int | None) -> PathCone:
+    def _fill(self, name: str, j: int, velocity: int | None, y: int, x: int) -> None:
+        """Fill the cone of some positions into a room."""
         if (j, velocity) not in self._cones:
             self._cones[j, velocity] = PathCone(self._segments[:j + 1], self._layout,
                                                 self._end_costs, velocity)
-        return self._cones[j, velocity]
-
-
-def _room(room: NDArray[np.float32], size: int) -> NDArray[np.float32]:
-    """Return room for so many numbers: the one at hand where it is large enough."""
-    return room if len(room) >= size else np.empty(size, np.float32)
+        if name not in self._rooms:
+            self._rooms[name] = ConeRoom(self._layout, len(self._segments))
+        self._cones[j, velocity].fill(self._rooms[name], self._scores, y, x)
