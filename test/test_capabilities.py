@@ -67,6 +67,8 @@ CASES = {
     'bad_frames': [Case('find', scene='blank')],
     'bad_pixels': [Case('find', {'noise': 'robust'}, 'hot')],
     'max_time_s': [Case(1e-9)],
+    # No room for the fast.
+    'max_memory_gb': [Case(0.0015, {'max_speed_px_s': 4.0, 'max_acceleration_px_s2': 1.0})],
     'registration': [Case(name, {'threshold': 13.0}, 'panning')
                      for name in ('translation', 'affine', 'homography')],
     'background': [Case(name, {'threshold': 13.0}, 'panning') for name in (

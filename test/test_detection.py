@@ -9,6 +9,7 @@ import pytest
 
 import track_before_detect as tbd
 from track_before_detect.simulation.scenarios import simulate
+from track_before_detect.simulation.sensor import add_target
 
 FRAMES = np.random.default_rng(0).standard_normal((4, 16, 16))
 
@@ -150,6 +151,28 @@ def test_search_that_is_too_large_leaves_out_the_fastest_motions_and_says_so(cap
     with caplog.at_level(logging.WARNING):
         tbd.detect(np.zeros((3, 200, 200), np.float32), max_speed_px_s=90, threshold=8)
     assert 'speeds up to 90 px/s would be too large' in caplog.text
+
+
+def test_little_memory_is_kept_to_and_changes_nothing(caplog):
+    frames = np.random.default_rng(3).standard_normal((9, 150, 160)).astype(np.float32)
+    for t, frame in enumerate(frames):
+        add_target(frame, 20 + 1.6 * t, 70 - 0.8 * t, 1.0, 9.0)
+        add_target(frame, 140 - 1.1 * t, 90 + 0.3 * t, 1.0, 9.0)
+    with caplog.at_level(logging.INFO):
+        whole, few = (tbd.detect(frames, max_speed_px_s=3.0, threshold=12, max_memory_gb=memory)
+                      for memory in (1.0, 0.1))
+    told, told_few = (record.getMessage() for record in caplog.records)
+    assert 'searching 9 frames of 160 x 150 pixels takes' in told
+    assert 'at once' in told_few and 'at once' not in told
+    assert len(whole.trajectories) == 2
+    for one, other in zip(whole.trajectories, few.trajectories, strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions)
+        np.testing.assert_array_equal(one.amplitudes, other.amplitudes)
+
+
+def test_memory_that_not_even_what_stands_still_fits_into_is_named():
+    with pytest.raises(tbd.ParameterError, match='raise max_memory_gb, 1e-06 now'):
+        tbd.detect(FRAMES, threshold=8, max_memory_gb=1e-6)
 
 
 def test_frames_that_cannot_have_a_noise_of_one_are_named(caplog):

@@ -113,6 +113,7 @@ _NO_STREAKS = Limit('exposure_s', 'it takes an exposure for a moment; convex and
                     'streaks')
 _NOT_STOPPED = Limit('max_time_s', 'its compiled search of a batch ends by itself, after as many '
                      'targets as a batch may hold')
+_SMALL = Limit('max_memory_gb', 'only convex and greedy can hold a part of what they search')
 _WHOLE_BATCH = Limit('presence', 'it follows a target through the whole batch')
 _ONE_MODEL = Limit('amplitude_model', 'it cancels targets with one model of their amplitudes',
                    ('constant',))
@@ -135,7 +136,7 @@ CAPABILITIES = (
         'in one direction (`_dp`) or as a ring (`_dpr`): Fu et al. 2022',
         (*(Limit(name, 'it needs a Gaussian sampled at the pixel centres')
            for name in ('psf', 'psf_model')),
-         _NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH,
+         _NO_STREAKS, *_BOUNDED_SPEED, _SMALL, _WHOLE_BATCH,
          Limit('amplitudes', 'it looks for the largest sums'),
          Limit('amplitude_model', 'it adds up amplitudes as they are, as if they were constant',
                ('constant',), no_effect=('constant',)),
@@ -144,15 +145,15 @@ CAPABILITIES = (
          _NO_SCHEDULE, _IN_NOISE, _ONE_DIRECTION_SET)),
     Capability(
         ('mt_dp',), 'dynamic programming with target cancellation: Guo et al. 2018',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE, _IN_NOISE,
-         _NOT_STOPPED, _ONE_DIRECTION_SET)),
+        (_NO_STREAKS, *_BOUNDED_SPEED, _SMALL, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE,
+         _IN_NOISE, _NOT_STOPPED, _ONE_DIRECTION_SET)),
     Capability(
         ('pc_dp',), 'the same for each sector of directions at the same time',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE, _IN_NOISE,
-         _NOT_STOPPED)),
+        (_NO_STREAKS, *_BOUNDED_SPEED, _SMALL, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE,
+         _IN_NOISE, _NOT_STOPPED)),
     Capability(
         ('velocity_filter',), 'shift-and-stack along straight lines',
-        (_NO_STREAKS,
+        (_NO_STREAKS, _SMALL,
          Limit('motion_model', 'it searches straight lines', ('constant_velocity', 'static'),
                no_effect=('constant_velocity',)),
          Limit('max_acceleration_px_s2', 'it searches straight lines'),

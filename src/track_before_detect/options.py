@@ -151,6 +151,11 @@ class DetectorOptions:
         'It is looked at between the steps of the search, so that one over all paths is never '
         'left halfway. Automatic is no limit.', kind='number', unit='s', above=0.0,
         optional=True)
+    max_memory_gb: float | None = declared(
+        None, 'Memory that the search of a batch may take; with less than all its paths take at '
+        'once it holds a part of them at a time, and finds the same. Where that is still too '
+        'much the fastest motions are left out, with a warning. Automatic is a third of what is '
+        'free, at least 1 GiB.', kind='number', unit='GB', above=0.0, optional=True)
     registration: str = declared(
         'none', 'How frames are aligned before the search: by a shift, or also by a turn and a '
         'zoom (affine) and a slope of the scene (homography); auto takes for each batch the '

@@ -45,6 +45,8 @@ class _Terminated(SystemExit):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(format='tbd: %(levelname)s: %(message)s', level=logging.WARNING)
+    # We say how much memory a search is going to take.
+    logging.getLogger(__name__.partition('.')[0]).setLevel(logging.INFO)
     _prepare_output()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _terminate)

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.motion.range_doppler import build_range_doppler_graph
 from track_before_detect.models.motion.state_graph import (
@@ -18,6 +19,7 @@ from track_before_detect.models.presence import Presence
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import searched_speed
 from track_before_detect.solvers.search.affordable import affordable
+from track_before_detect.solvers.search.memory import BYTES_PER_GB
 from track_before_detect.timestamps import median_interval
 
 # Largest acceleration unless given: the maximum speed within this many frame intervals.
@@ -39,16 +41,20 @@ class GraphBuilder:
     ----------
     options : DetectorOptions
         Motion model and its bounds.
-    turn_cost : float
-        Cost of a change of either velocity component by one step, in units of a value.
+    amplitudes : AmplitudeModel
+        Says what a turn costs.
     presence : Presence or None
         Cost of being present, where targets may enter and leave.
+    most_bytes : float
+        Memory that a search may take.
     """
 
-    def __init__(self, options: DetectorOptions, turn_cost: float, presence: Presence | None):
+    def __init__(self, options: DetectorOptions, amplitudes: AmplitudeModel,
+                 presence: Presence | None, most_bytes: float):
         self._options = options
-        self._turn_cost = turn_cost
+        self._amplitudes = amplitudes
         self._presence = presence
+        self._most_bytes = most_bytes
         self._kept: tuple[tuple, StateGraph] | None = None
         self._warned = False
 
@@ -103,16 +109,17 @@ class GraphBuilder:
         def up_to(fitting: float) -> StateGraph:
             return build_state_graph(
                 times, step_px=1 / measurement.oversampling, max_speed=fitting,
-                max_acceleration=acceleration, turn_cost=self._turn_cost)
+                max_acceleration=acceleration, turn_cost=self._amplitudes.turn_cost)
 
         # A disc of velocities may be wider than can be searched.
         fitting = min(speed, WIDEST_DISC * up_to(min(speed, 1e-9)).velocity_step)
         graph = up_to(fitting)
-        while not affordable(graph, measurement, shape, self._presence):
+        while not self._affordable(graph, measurement, shape):
             if graph.n_velocities == 1:
                 raise ParameterError(
                     f'a batch of {len(stamps)} frames of {shape[1]} x {shape[0]} pixels is too '
-                    f'large to search, even for targets that stand still: lower batch_length')
+                    f'large to search, even for targets that stand still: lower batch_length or '
+                    f'raise max_memory_gb, {self._most_bytes / BYTES_PER_GB:.3g} now')
             fitting *= 0.95
             graph = up_to(fitting)
         if fitting < speed and not self._warned:
@@ -120,7 +127,9 @@ class GraphBuilder:
             _LOG.warning(
                 'the search for speeds up to %.3g px/s would be too large; it is made up to '
                 '%.3g px/s. A lower max_speed_px_s, max_acceleration_px_s2 or batch_length, or '
-                'a wider psf_sigma_px, avoids this', speed / interval, fitting / interval)
+                'a wider psf_sigma_px, or a larger max_memory_gb where that is what is short '
+                '(%.3g now), avoids this', speed / interval, fitting / interval,
+                self._most_bytes / BYTES_PER_GB)
         return graph
 
     def _range_doppler_graph(self, stamps: NDArray, measurement: MeasurementModel,
@@ -142,13 +151,20 @@ class GraphBuilder:
             self.times(stamps, measurement), step_px=1 / measurement.oversampling,
             rows_per_column=_digits(rows_per_column),
             still_column=margin + shape[1] // 2 + options.doppler_offset_bins,
-            max_acceleration=_digits(acceleration * interval**2), turn_cost=self._turn_cost)
-        if not affordable(graph, measurement, (shape[0], shape[1] + 2 * margin), self._presence):
+            max_acceleration=_digits(acceleration * interval**2),
+            turn_cost=self._amplitudes.turn_cost)
+        if not self._affordable(graph, measurement, (shape[0], shape[1] + 2 * margin)):
             raise ParameterError(
                 f'a batch of {len(stamps)} maps of {shape[0]} x {shape[1]} bins is too large to '
                 f'search for accelerations up to {acceleration:.3g} bins/s^2: lower '
-                'max_acceleration_px_s2, doppler_ambiguities or batch_length')
+                'max_acceleration_px_s2, doppler_ambiguities or batch_length, or raise '
+                'max_memory_gb')
         return graph
+
+    def _affordable(self, graph: StateGraph, measurement: MeasurementModel,
+                    shape: tuple[int, int]) -> bool:
+        return affordable(graph, measurement, shape, self._amplitudes, self._presence,
+                          self._most_bytes)
 
 
 def _digits(value: float) -> float:

@@ -3,6 +3,8 @@
 from abc import abstractmethod
 from collections.abc import Callable
 from dataclasses import replace
+import logging
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +35,8 @@ from track_before_detect.solvers.noise_check import passes_everywhere, threshold
 from track_before_detect.solvers.path_statistic import PathStatistic
 from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
 from track_before_detect.solvers.refine.target_model import NO_WEIGHTS, TargetModel
+from track_before_detect.solvers.search.affordable import search_bytes
+from track_before_detect.solvers.search.memory import BYTES_PER_GB, memory_for_search
 from track_before_detect.solvers.search.path_search import path_search, PathSearch
 from track_before_detect.solvers.search.periodic_columns import (
     columns_of,
@@ -46,6 +50,8 @@ from track_before_detect.types import FrameBatch, Progress, Step
 # Longest streak over that of a target at the largest speed: velocities between frames differ from
 # those of the search.
 LONGER_STREAK = 1.1
+
+_LOG = logging.getLogger(__name__)
 
 
 class Task(NamedTuple):
@@ -104,7 +110,10 @@ class PathDetector(BatchDetector):
         self.model = amplitude_model(options.amplitudes, options.amplitude_model)
         self.presence = presence_for(self.model) if options.presence == 'partial' else None
         self.scale = PathStatistic(self.model, self.presence)
-        self._graphs = GraphBuilder(options, self.model.turn_cost, self.presence)
+        # What is free changes as soon as it is taken.
+        self._most_bytes = memory_for_search(options.max_memory_gb)
+        self._told_bytes = 0
+        self._graphs = GraphBuilder(options, self.model, self.presence, self._most_bytes)
         self._search: tuple[tuple, PathSearch] | None = None
         self._has_searched = False
 
@@ -227,7 +236,9 @@ class PathDetector(BatchDetector):
 
         def searcher(crop: tuple[int, int]) -> Callable[[NDArray], float]:
             seen_as = measurement.window(crop)
-            search = path_search(graph, seen_as, columns.plane(crop), self.model, self.presence)
+            # One crop is searched on each core.
+            search = path_search(graph, seen_as, columns.plane(crop), self.model, self.presence,
+                                 most_bytes=self._most_bytes / usable_cores())
             return self.largest_value(
                 TargetModel(graph, seen_as, times, NO_WEIGHTS, self.model, self.presence), search)
 
@@ -271,7 +282,23 @@ class PathDetector(BatchDetector):
         """Return the search for these paths, with its tables where the last one had them."""
         key = (shape, graph.fingerprint(), measurement.key)
         if self._search is None or self._search[0] != key:
+            self._search = None
+            self._tell_memory(graph, measurement, shape)
             self._search = (key, path_search(graph, measurement, shape, self.model, self.presence,
-                                             usable_cores()))
+                                             usable_cores(), self._most_bytes))
         self._search[1].set_weights(weights)
         return self._search[1]
+
+    def _tell_memory(self, graph: StateGraph, measurement: MeasurementModel,
+                     shape: tuple[int, int]) -> None:
+        """Say what a search is going to take, the first time that one takes so much."""
+        needed, whole = (
+            search_bytes(graph, measurement, shape, self.model, self.presence, most)
+            for most in (self._most_bytes, math.inf))
+        if needed > self._told_bytes:
+            self._told_bytes = needed
+            _LOG.info(
+                'searching %d frames of %d x %d pixels takes %.2g GB of memory (max_memory_gb: '
+                '%.2g)%s', graph.n_frames, shape[1], shape[0], needed / BYTES_PER_GB,
+                self._most_bytes / BYTES_PER_GB, '' if needed == whole else
+                f'; all at once it would take {whole / BYTES_PER_GB:.2g} GB')

@@ -24,7 +24,8 @@ _OF_PATHS = (
     'psf.gauss_newton:maximise_statistic', 'psf.measurement:evaluate',
     'psf.measurement:render_path', 'psf.psf_stamps:accumulate', 'psf.psf_stamps:correlate',
     'psf.psf_stamps:overlap', 'scores.matched_filter:scores_of_frame',
-    'search.viterbi:extend_paths', 'search.viterbi_backtrack:best_paths',
+    'search.viterbi:extend_paths', *(f'search.viterbi_backtrack:{name}' for name in (
+        'best_end', 'follow_back', 'leave_out', 'next_peak')),
     *(f'search.viterbi_update:{name}' for name in (
         'changed_states', 'count_blocks', 'largest_by_row', 'raise_stale', 'replace_scores',
         'store_scores', 'wanted_ends')))

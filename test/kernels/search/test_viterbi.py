@@ -112,15 +112,16 @@ def test_rows_that_are_not_asked_for_are_not_written(max_speed):
     graph = dataclasses.replace(graph, reach=1)
     table = ViterbiTable(graph, (9, 40))
     table.fill(np.random.default_rng(7).exponential(size=(3, 9, 40)).astype(np.float32))
-    layout, value = table._layout, np.full_like(table._tables[1], 5.0)
+    layout, value = table._layout, np.full_like(table._tables, 5.0)
     marks = np.full((9, layout.n_v), np.uint64(3))
-    viterbi.extend_paths(value, np.empty((0, 0), np.float32), table._tables[0], table._scores,
+    viterbi.extend_paths(value, np.empty((0, 0), np.float32), table._tables, table._scores,
                          table._segments[1], layout, None, marks, marks[:, 0].copy(), 2, 6)
     row = layout.n_v * layout.stride
-    asked = slice(layout.guard + 2 * row, layout.guard + 6 * row)
+    first = table._places[1, 2, 0]
+    asked = slice(first, first + 4 * row)
     assert (value[:asked.start] == 5.0).all() and (value[asked.stop:] == 5.0).all()
     written = value[asked].reshape(-1, layout.stride)[:, :layout.n_x]
-    expected = table._tables[1][asked].reshape(-1, layout.stride)[:, :layout.n_x]
+    expected = table._tables[asked].reshape(-1, layout.stride)[:, :layout.n_x]
     np.testing.assert_array_equal(written, expected)
 
 

@@ -16,6 +16,7 @@ from track_before_detect.solvers.convex.pursuit import pursue, PursuitSettings
 from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.refine.refinement import Refiner
 from track_before_detect.solvers.refine.target_model import TargetModel
+from track_before_detect.solvers.search import held_rows
 from track_before_detect.solvers.search import viterbi_table as path_table
 from track_before_detect.solvers.search.path_search import path_search
 from track_before_detect.solvers.search.viterbi_table import table_bytes, ViterbiTable
@@ -84,6 +85,51 @@ def test_updated_table_has_the_value_of_the_best_of_every_path(monkeypatch):
         scores = changed(generator, scores, sign)
         expected, _ = naive.best_path_value(graph, scores)
         assert table.update(scores, 0.5 * expected) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.parametrize('name', GRAPHS)
+@pytest.mark.parametrize('share', [0.0, 0.6])
+@pytest.mark.parametrize('shape', [(29, 31), (60, 150), (1, 40)])
+@pytest.mark.parametrize('presence', [None, Presence(0.8, 1.5, 2.5)], ids=['full', 'partial'])
+@pytest.mark.parametrize('cost', [0.0, 1e9], ids=['updated', 'filled'])
+def test_a_table_of_little_memory_gives_what_one_of_all_states_gives(
+        monkeypatch, name, share, shape, presence, cost):
+    # One row at a time.
+    monkeypatch.setattr(held_rows, 'STATES_AT_ONCE', 1)
+    monkeypatch.setattr(path_table, 'COST_OF_UPDATE', cost)
+    generator = np.random.default_rng([len(name), *shape])
+    graph = graph_named(name, np.array([0.0, 1, 2, 3, 5, 6, 7, 8, 9]))
+    per_frame = presence.per_frame if presence else 0.0
+    most = share * table_bytes(graph, shape, presence)
+    little = ViterbiTable(graph, shape, presence=presence, most_bytes=most, n_threads=2)
+    scores = generator.exponential(size=(9, *shape)).astype(np.float32)
+    for number in range(4):
+        fresh = ViterbiTable(graph, shape, presence=presence)
+        filled = fresh.fill(scores, per_frame)
+        level = float(np.quantile(fresh.best, 0.99))
+        assert little.update(scores, level, per_frame=per_frame) == filled
+        told = np.maximum(little.best, fresh.best) > level
+        np.testing.assert_array_equal(little.best[told], fresh.best[told])
+        paths = fresh.best_paths(level, 2, 12)
+        assert paths
+        for few, path in zip(little.best_paths(level, 2, 12), paths, strict=True):
+            np.testing.assert_equal(few._asdict(), path._asdict())
+        scores = changed(generator, np.pad(scores, ((0, 0), (0, 3), (0, 0))),
+                         ('down', 'both')[number % 2])[:, :shape[0]]
+
+
+def test_a_table_of_little_memory_has_the_value_of_the_best_of_every_path(monkeypatch):
+    monkeypatch.setattr(held_rows, 'STATES_AT_ONCE', 1)
+    graph = build_state_graph(np.arange(4.0), step_px=1.0, max_speed=0.7, max_acceleration=0.9,
+                              turn_cost=0.5)
+    assert graph.n_segments > 1
+    scores = np.random.default_rng(5).exponential(size=(4, 9, 6)).astype(np.float32)
+    expected, _ = naive.best_path_value(graph, scores)
+    table = ViterbiTable(graph, (9, 6), most_bytes=0)
+    assert table.fill(scores) == pytest.approx(expected, rel=1e-5)
+    [path] = table.best_paths(0.0, 2, 1)
+    x, y = path.positions.astype(int).T
+    assert scores[range(4), y, x].sum() - path.turn_cost == pytest.approx(expected, rel=1e-5)
 
 
 def test_only_states_that_may_pass_are_computed():
@@ -197,11 +243,13 @@ def test_pursuit_is_the_same_with_full_searches(monkeypatch, code, threshold, ma
 
 @pytest.mark.parametrize('presence', [None, Presence(0.8, 1.5, 2.5)], ids=['full', 'partial'])
 @pytest.mark.parametrize('name', GRAPHS)
-def test_the_memory_of_a_table_is_told_before_it_is_taken(name, presence):
+@pytest.mark.parametrize('most', [0, np.inf])
+def test_the_memory_of_a_table_is_told_before_it_is_taken(monkeypatch, name, presence, most):
+    monkeypatch.setattr(held_rows, 'STATES_AT_ONCE', 1)
     graph = graph_named(name, np.arange(12.0))
     shape = (23, 690)
     scores = np.zeros((12, *shape), np.float32)
-    table = ViterbiTable(graph, shape, presence=presence)
+    table = ViterbiTable(graph, shape, presence=presence, most_bytes=most)
     # Compiles, which takes memory of its own.
     ViterbiTable(graph, (9, 9), presence=presence).fill(np.zeros((12, 9, 9), np.float32))
     tracemalloc.start()
@@ -211,4 +259,18 @@ def test_the_memory_of_a_table_is_told_before_it_is_taken(name, presence):
     finally:
         tracemalloc.stop()
     # Less margins of a few rows, and what is known of each row.
-    assert 0.85 * taken <= table_bytes(graph, shape, presence) <= taken
+    assert 0.85 * taken <= table_bytes(graph, shape, presence, most_bytes=most) <= taken
+
+
+def test_the_memory_of_a_table_is_what_it_may_take_where_that_is_enough(monkeypatch):
+    monkeypatch.setattr(held_rows, 'STATES_AT_ONCE', 1)
+    graph = build_state_graph(np.arange(20.0), step_px=0.5, max_speed=2.0, max_acceleration=0.1,
+                              turn_cost=3.0)
+    shape = (400, 300)
+    least, most = (table_bytes(graph, shape, most_bytes=bound) for bound in (0, np.inf))
+    assert least < most / 3
+    taken = [table_bytes(graph, shape, most_bytes=bound)
+             for bound in np.linspace(least, most, 20)]
+    assert (np.array(taken) <= np.linspace(least, most, 20) + 1).all()
+    # More memory lets more segments be held, one after the other.
+    assert sorted(set(taken)) == list(dict.fromkeys(taken)) and len(set(taken)) > 3

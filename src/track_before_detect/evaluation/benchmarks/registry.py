@@ -6,6 +6,7 @@ from track_before_detect.evaluation.benchmarks import (
     convex,
     dp,
     fit,
+    memory,
     parallel,
     scene,
     velocity_filter,
@@ -14,7 +15,7 @@ from track_before_detect.evaluation.benchmarks.bench import Bench
 
 BENCHES: dict[str, Bench] = {
     one.BENCH.name: one.BENCH for one in (
-        convex, dp, fit, parallel, scene, velocity_filter, compilation)}
+        convex, dp, fit, memory, parallel, scene, velocity_filter, compilation)}
 
 
 def bench_named(name: str) -> Bench:

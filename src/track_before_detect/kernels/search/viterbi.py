@@ -9,12 +9,11 @@ to whole vectors; what they write beyond n_x is made absent again.
 
 scores : float32, flat; row y of frame t starts at pad + (t n_y + y) stride
     Weight of each position in each frame.
-value, before : float32, flat; row (y, v) starts at guard + (y n_v + v) stride
+value, before : float32, flat; row (y, v) of segment j starts at places[j, y, v]
     Weight of the best path up to and including one segment, by start position of the segment and
-    velocity. The velocities lie between the two position axes so that one row y of all velocities
-    is one contiguous block, which fits the second-level cache. The guard is a row of absent
-    positions.
-    The last segment is not stored.
+    velocity. Mostly the velocities lie between the two position axes so that one row y of all
+    velocities is one contiguous block, which fits the second-level cache. Before the first lies
+    a guard, a row of absent positions. The last segment is not stored.
 best : float32 (Y, X)
     Largest weight over all velocities of the paths that end in a segment.
 marks : uint64 (Y, V), and finished : uint64 (Y,)
@@ -110,6 +109,9 @@ class Segment(NamedTuple):
         Rows from which all frames stay on the grid.
     arrival : array of int64, shape (V, 2)
         Displacement (x, y) over the segment before; of no rows for the first segment.
+    places, places_before : array of int64, shape (Y, V)
+        Where the states of this segment and of the one before lie; zero where they are not held,
+        of no rows where there are none.
     turns : Turns
         Those before the segment.
     """
@@ -119,6 +121,8 @@ class Segment(NamedTuple):
     first_y: NDArray[np.int64]
     last_y: NDArray[np.int64]
     arrival: NDArray[np.int64]
+    places: NDArray[np.int64]
+    places_before: NDArray[np.int64]
     turns: Turns
 
 
@@ -235,19 +239,19 @@ def _turn_y(out, o, turns, here, step, reach, cost, n):
 
 
 @numba.njit(**FINITE)
-def _find_sources(source, y, arrival, n_y, stride, pad, guard):
+def _find_sources(source, y, arrival, places, n_y, pad):
     """Write to source[v] where the best paths of velocity v that arrive in row y are held."""
     n_v = arrival.shape[0]
     for v in range(n_v):
         row = y - arrival[v, 1]
         source[v] = pad
-        if 0 <= row < n_y:
-            source[v] = guard + (row * n_v + v) * stride - arrival[v, 0]
+        if 0 <= row < n_y and places[row, v]:
+            source[v] = places[row, v] - arrival[v, 0]
     source[n_v] = pad
 
 
 @numba.njit(**FINITE)
-def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets, n_frames, y,
+def _find_run(run, n, slot, velocity_at, columns, source, places, first, offsets, n_frames, y,
               rows, n_y, absent, costs):
     """Write to ``run`` what n velocities from ``slot`` read and write, see ``turn_and_add``.
 
@@ -261,7 +265,7 @@ def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, of
         run[3 * k + 2] = source[velocity_at[here + 1]]
     for k in range(n):
         v = velocity_at[slot + k * columns]
-        run[3 * (n + 2) + k] = place + v * step
+        run[3 * (n + 2) + k] = places[v]
         for t in range(n_frames):
             run[4 * n + 6 + t * n + k] = first + offsets[v, t]
             if costs is not None:
@@ -270,15 +274,15 @@ def _find_run(run, n, slot, velocity_at, columns, source, place, step, first, of
 
 
 @numba.njit(**FINITE)
-def _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs, offsets, rows,
-                first_y, last_y, arrival, slots, velocity_at, columns, reach, cost, source, wanted,
-                turns, run):
+def _extend_row(out, places, y, marks, before, scores, ends, layout, costs, offsets, rows,
+                first_y, last_y, arrival, places_before, slots, velocity_at, columns, reach, cost,
+                source, wanted, turns, run):
     """Extend the best paths by one segment in row ``y``, where marks[y] says so.
 
-    The row of velocity v is written from out[place + v * step] on. What comes after ``costs`` is
-    of a ``Segment`` and its ``Turns``, then work space.
+    The row of velocity v is written from out[places[v]] on. What comes after ``costs`` is of a
+    ``Segment`` and its ``Turns``, then work space.
     """
-    n_y, n_x, n_v, stride, lanes, block, pad, guard = layout
+    n_y, n_x, n_v, stride, lanes, block, pad, _ = layout
     n_blocks = (lanes + block - 1) // block
     starting = before.size == 0
     near = reach == 1 and not starting
@@ -294,7 +298,7 @@ def _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs,
         done = n_frames
     first = pad + y * stride
     if not starting:
-        _find_sources(source, y, arrival, n_y, stride, pad, guard)
+        _find_sources(source, y, arrival, places_before, n_y, pad)
         if reach > 1:
             wanted[:] = 0
             for v in range(n_v):
@@ -319,7 +323,7 @@ def _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs,
                         break
                 n += 1
             if costs is not None or (near and inside):
-                _find_run(run, n, slot, velocity_at, columns, source, place, step, first, offsets,
+                _find_run(run, n, slot, velocity_at, columns, source, places, first, offsets,
                           done, y, rows, n_y, scores.size - lanes, costs)
             b, end = run_of_blocks(marks[y, v], 0, n_blocks)
             while b < BLOCKS:
@@ -330,7 +334,7 @@ def _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs,
                         turn_and_add(out, before, scores, run, n, done, cost, start, stop)
                 for k in range(n):
                     other = velocity_at[slot + k * columns]
-                    o = place + other * step
+                    o = places[other]
                     if costs is None:
                         if not inside:
                             fill_row(out, _U(o + start), stop - start, ABSENT)
@@ -353,7 +357,7 @@ def _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs,
                                   cost, costs.entry, costs.leaving, costs.leaving_last, start,
                                   stop)
                     for k in range(n):
-                        o = place + velocity_at[slot + k * columns] * step
+                        o = places[velocity_at[slot + k * columns]]
                         for x in range(n_x, stop):
                             out[o + x] = ABSENT
                 b, end = run_of_blocks(marks[y, v], end, n_blocks)
@@ -385,12 +389,14 @@ def extend_paths(value, best, before, scores, segment, layout, costs, marks, fin
     offsets, rows = borrowed(segment.offsets), borrowed(segment.rows)
     # Taken out once: each use of a tuple that holds arrays updates their reference counts.
     first_y, last_y, arrival = segment.first_y, segment.last_y, segment.arrival
+    places_before = borrowed(segment.places_before)
     slots, velocity_at, columns, reach, cost = segment.turns
     flat_best = best.reshape(best.size)
     kept = value.size > 0
     room = np.empty(0 if kept else n_v * lanes, np.float32)
     out = borrowed(value) if kept else borrowed(room)
-    step = layout.stride if kept else lanes
+    own = np.arange(0, n_v * lanes, lanes).reshape(1, n_v)
+    held = borrowed(segment.places) if kept else borrowed(own)
     ends = np.empty(lanes, np.float32)
     source = np.empty(n_v + 1, np.int64)
     far = before.size > 0 and reach > 1
@@ -403,12 +409,12 @@ def extend_paths(value, best, before, scores, segment, layout, costs, marks, fin
             some |= marks[y, v]
         if not some:
             continue
-        place = layout.guard + y * n_v * step if kept else 0
+        places = held[y if kept else 0]
         if costs is not None:
             fill_row(ends, _U(0), lanes, ABSENT)
-        _extend_row(out, place, step, y, marks, before, scores, ends, layout, costs, offsets,
-                    rows, first_y, last_y, arrival, slots, velocity_at, columns, reach, cost,
-                    source, wanted, turns, run)
+        _extend_row(out, places, y, marks, before, scores, ends, layout, costs, offsets, rows,
+                    first_y, last_y, arrival, places_before, slots, velocity_at, columns, reach,
+                    cost, source, wanted, turns, run)
         if best.size == 0:
             continue
         b, end = run_of_blocks(finished[y], 0, n_blocks)
@@ -419,9 +425,10 @@ def extend_paths(value, best, before, scores, segment, layout, costs, marks, fin
             if costs is None:
                 fill_row(flat_best, o, n, ABSENT)
                 for v in range(n_v):
-                    raise_row(flat_best, o, out, _U(place + v * step + start), n, np.float32(0))
+                    raise_row(flat_best, o, out, _U(places[v] + start), n, np.float32(0))
             else:
                 copy_row(flat_best, o, ends, _U(start), n)
             b, end = run_of_blocks(finished[y], end, n_blocks)
     # Not to be freed before, for it was borrowed.
     room[:0] = 0
+    own[:0] = 0

@@ -39,7 +39,7 @@ class Motion(NamedTuple):
 
 
 @numba.njit(**EXACT)
-def _best_arrival(tables, j, y, x, v, motion, layout):
+def _best_arrival(tables, places, j, y, x, v, motion, layout):
     """Return how the best path comes to go on from (y, x) at velocity v in segment j.
 
     Returns
@@ -62,10 +62,11 @@ def _best_arrival(tables, j, y, x, v, motion, layout):
                 continue
             row = y - motion.end_moves[j - 1, other, 1]
             column = x - motion.end_moves[j - 1, other, 0]
-            if 0 <= row < layout.n_y and 0 <= column < layout.n_x:
+            if (0 <= row < layout.n_y and 0 <= column < layout.n_x
+                    and places[j - 1, row, other]):
                 steps = abs(k) + abs(m)
-                weight = (tables[j - 1, layout.guard + (row * layout.n_v + other) * layout.stride
-                                 + column] - np.float32(steps) * may.cost)
+                weight = (tables[places[j - 1, row, other] + column]
+                          - np.float32(steps) * may.cost)
                 if weight > best:
                     best, chosen, turned = weight, other, steps
     return chosen, best, turned
@@ -82,46 +83,74 @@ def _live_on(reached, scores, t, y, x, v, motion, layout):
     return max(reached, -motion.entry) + met
 
 
-@numba.njit(**EXACT, inline='always')
-def _best_end(tables, scores, j, y, x, motion, layout):
-    """Return velocity and last frame of the best path that starts its last segment j at (y, x)."""
+@numba.njit(**EXACT)
+def best_end(tables, places, scores, j, y, x, motion, layout):
+    """Return how the best path that starts its last segment j at (y, x) goes on.
+
+    Parameters
+    ----------
+    tables : float32, flat
+    places : int64 (J - 1, Y, V)
+        Where the states of each segment but the last lie in the tables, as in the module
+        ``viterbi``.
+
+    Returns
+    -------
+    int, int
+        Velocity and last frame.
+    float
+        Its weight, of what it meets in the last segment in double precision.
+    """
     best, velocity, last = ABSENT, ZERO, motion.knots[j + 1] - 1
     for v in range(layout.n_v):
-        _, reached, _ = _best_arrival(tables, j, y, x, v, motion, layout)
+        _, reached, _ = _best_arrival(tables, places, j, y, x, v, motion, layout)
         for t in range(motion.knots[j], motion.knots[j + 1]):
             reached = _live_on(reached, scores, t, y, x, v, motion, layout)
             end = reached if t == motion.moves.shape[0] - 1 else reached - motion.leaving
             if end > best:
                 best, velocity, last = end, v, t
-    return velocity, last
-
-
-@numba.njit(**EXACT, inline='always')
-def _follow_back(positions, velocities, starts, tables, scores, j, y, x, motion, layout):
-    """Write positions and velocities of the best path that starts its last segment j at (y, x).
-
-    starts : int64 (J, 2), x and y of its starts of segments, also of those that it would go on to
-
-    Returns its weight, of what it meets in the last segment in double precision, and the steps of
-    its turns.
-    """
-    positions[:] = np.nan
-    velocity, last = _best_end(tables, scores, j, y, x, motion, layout)
-    starts[j, 0], starts[j, 1] = x, y
-    for later in range(j + 1, starts.shape[0]):
-        for axis in range(2):
-            starts[later, axis] = (starts[later - 1, axis]
-                                   + motion.end_moves[later - 1, velocity, axis])
-    _, reached, _ = _best_arrival(tables, j, y, x, velocity, motion, layout)
+    _, reached, _ = _best_arrival(tables, places, j, y, x, velocity, motion, layout)
     value = np.float64(reached)
     for t in range(motion.knots[j], last + 1):
         value = _live_on(value, scores, t, y, x, velocity, motion, layout)
     if last < motion.moves.shape[0] - 1:
         value -= motion.leaving
+    return velocity, last, value
+
+
+@numba.njit(**EXACT)
+def follow_back(positions, velocities, starts, tables, places, scores, j, y, x, velocity, last,
+                stop, motion, layout):
+    """Write positions and velocities of the best path that is at (y, x) when segment j starts.
+
+    Parameters
+    ----------
+    positions : float64 (T, 2)
+        Receives x and y in grid steps, where the path is present.
+    velocities : int64 (T,)
+        Receives the velocity there.
+    starts : int64 (J, 2)
+        Receives x and y of its starts of segments.
+    tables, places
+        As of ``best_end``.
+    velocity, last : int
+        In segment j, and the last frame there.
+    stop : int
+        Segment at whose start it is followed no further.
+
+    Returns
+    -------
+    int, int, int, int
+        The segment that is left to be followed, y, x and velocity there; below zero where the path
+        is no more.
+    int
+        Steps of its turns.
+    """
     turns = 0
-    while True:
+    while j > stop or j == 0:
         first = motion.knots[j]
-        arriving, reached, turned = _best_arrival(tables, j, y, x, velocity, motion, layout)
+        arriving, reached, turned = _best_arrival(tables, places, j, y, x, velocity, motion,
+                                                  layout)
         entered = first
         goes_on = j > 0 and reached > -motion.entry
         for t in range(first, last + 1):
@@ -136,59 +165,36 @@ def _follow_back(positions, velocities, starts, tables, scores, j, y, x, motion,
         if not goes_on:
             for earlier in range(j):
                 starts[earlier] = NOWHERE
-            return value, turns
+            return -1, y, x, velocity, turns
         turns += turned
         velocity, j, last = arriving, j - 1, first - 1
         x -= motion.end_moves[j, velocity, 0]
         y -= motion.end_moves[j, velocity, 1]
+    return j, y, x, velocity, turns
 
 
 @numba.njit(**EXACT)
-def best_paths(positions, velocities, values, turns, best, tables, scores, motion, layout, above,
-               radius):
-    """Find the paths of the largest weights above a level, the largest first, and apart.
+def next_peak(best, at):
+    """Return number of the end, y and x of the largest of ``best`` (E, Y, X).
 
-    No path starts a segment in which others may end within ``radius`` rows and columns of where
-    one that is found does: the same target ends there, too, a little less well.
-
-    Parameters
-    ----------
-    positions : float64 (N, T, 2)
-        Receives x and y in grid steps, NaN where a path is absent.
-    velocities : int64 (N, T)
-        Receives the velocity, where it is present.
-    values, turns : float64 and int64 (N,)
-        Receive weights and steps of turns.
-    best : float32 (E, Y, X)
-        Largest weights of paths that end in each of the last E segments, by its start.
-
-    Returns how many are found, at most N.
+    at : int64 (E, Y), x of the largest of each row, so that a peak costs the rows around it
     """
-    best = best.copy()
-    n_ends, n_y, n_x = best.shape
-    starts = np.empty((motion.end_moves.shape[0], 2), np.int64)
-    before = starts.shape[0] - n_ends
-    # The largest of each row is kept, so that a peak costs the rows around it and not all.
-    at = np.empty((n_ends, n_y), np.int64)
-    for e in range(n_ends):
-        for y in range(n_y):
-            at[e, y] = np.argmax(best[e, y])
-    for i in range(values.size):
-        end, y = ZERO, ZERO
-        for e in range(n_ends):
-            for row in range(n_y):
-                if best[e, row, at[e, row]] > best[end, y, at[end, y]]:
-                    end, y = e, row
-        x = at[end, y]
-        # Rounding leaves much of what is absent.
-        if not best[end, y, x] > max(above, np.float32(0.5) * ABSENT):
-            return i
-        value, turns[i] = _follow_back(positions[i], velocities[i], starts, tables, scores,
-                                       before + end, y, x, motion, layout)
-        values[i] = value if motion.entry < -ABSENT else best[end, y, x]
-        for e in range(n_ends):
-            x, y = starts[before + e]
-            for row in range(max(0, y - radius), min(n_y, y + radius + 1)):
-                best[e, row, max(0, x - radius):max(0, x + radius + 1)] = ABSENT
-                at[e, row] = np.argmax(best[e, row])
-    return values.size
+    end, y = ZERO, ZERO
+    for e in range(best.shape[0]):
+        for row in range(best.shape[1]):
+            if best[e, row, at[e, row]] > best[end, y, at[end, y]]:
+                end, y = e, row
+    return end, y, at[end, y]
+
+
+@numba.njit(**EXACT)
+def leave_out(best, at, starts, radius):
+    """Leave the surroundings of a path out of ``best`` (E, Y, X) and of the largest of its rows.
+
+    starts : int64 (E, 2), x and y of its starts of the segments in which paths end
+    """
+    for e in range(best.shape[0]):
+        x, y = starts[e]
+        for row in range(max(0, y - radius), min(best.shape[1], y + radius + 1)):
+            best[e, row, max(0, x - radius):max(0, x + radius + 1)] = ABSENT
+            at[e, row] = np.argmax(best[e, row])

@@ -13,6 +13,7 @@ every state, and a functional says what is to be largest of a path.
 from collections.abc import Callable
 from dataclasses import dataclass
 import itertools
+import math
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from track_before_detect.models.measurement.base import grid_shape, MeasurementM
 from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.search.additive import Additive
+from track_before_detect.solvers.search.affordable import table_share
 from track_before_detect.solvers.search.ratio import Ratio
 from track_before_detect.solvers.search.sheared_scores import ShearedScores
 from track_before_detect.solvers.search.viterbi_table import RowThreads, ViterbiTable
@@ -55,17 +57,20 @@ class PathSearch:
         What a position adds to the value of a path.
     graph, model, presence, n_threads
         As there.
+    most_bytes : float
+        Memory for each table; see ``ViterbiTable``.
     """
 
     def __init__(self, graph: StateGraph, scores: Scores, model: AmplitudeModel,
-                 presence: Presence | None = None, n_threads: int = 1):
+                 presence: Presence | None = None, n_threads: int = 1,
+                 most_bytes: float = math.inf):
         self.graph = graph
         self.model = model
         self.grid_shape = scores.grid_shape
         self._scores = scores
         self._presence = presence
-        tables = [(sign, ViterbiTable(graph, scores.grid_shape, n_threads, scores.kinds, presence))
-                  for sign in model.signs]
+        tables = [(sign, ViterbiTable(graph, scores.grid_shape, n_threads, scores.kinds, presence,
+                                      most_bytes)) for sign in model.signs]
         self._additive = Additive(scores, tables, presence)
         self._ratio = Ratio(scores, tables, presence)
 
@@ -133,7 +138,7 @@ class PathSearch:
 
 def path_search(graph: StateGraph, measurement: MeasurementModel, shape: tuple[int, int],
                 amplitudes: AmplitudeModel, presence: Presence | None = None,
-                n_threads: int = 1) -> PathSearch:
+                n_threads: int = 1, most_bytes: float = math.inf) -> PathSearch:
     """Return the search for the paths of a graph in frames of one size.
 
     Parameters
@@ -150,9 +155,12 @@ def path_search(graph: StateGraph, measurement: MeasurementModel, shape: tuple[i
         Cost of being present, where targets may enter and leave during the batch.
     n_threads : int
         Threads that share the rows of the frames.
+    most_bytes : float
+        Memory that scores and tables may take; see ``search_bytes``.
     """
     over_rows = RowThreads(grid_shape(measurement, shape)[0], n_threads)
     scores = measurement.scores(graph, shape, amplitudes, over_rows)
     if graph.coupling is not None:
         scores = ShearedScores(scores, graph)
-    return PathSearch(graph, scores, amplitudes, presence, n_threads)
+    return PathSearch(graph, scores, amplitudes, presence, n_threads, table_share(
+        graph, measurement, shape, amplitudes, most_bytes))

@@ -7,48 +7,31 @@ Only the states whose paths meet a change, and may pass the threshold, are then 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any, NamedTuple
+import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.rows import ABSENT, absent_rows
 from track_before_detect.kernels.search import viterbi, viterbi_backtrack, viterbi_update
-from track_before_detect.kernels.search.viterbi import BLOCKS, VECTOR
+from track_before_detect.kernels.search.viterbi import BLOCKS
 from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.models.presence import Presence
+from track_before_detect.solvers.search.compiled_graph import (
+    end_costs_of,
+    layout_of,
+    motion_of,
+    placed,
+    segment_of,
+)
+from track_before_detect.solvers.search.held_rows import HeldRows
+from track_before_detect.solvers.search.path_cone import NO_ENDS, NO_STATES, place_of_cone
+from track_before_detect.solvers.search.path_tracer import PathTracer, TracedPath
 
 # A state costs this much more where some are computed than where all are
 # (docs/constants/search.md).
 COST_OF_UPDATE = 2.2
-NO_STATES = np.empty(0, np.float32)
-NO_ENDS = np.empty((0, 0), np.float32)
-
-
-class TracedPath(NamedTuple):
-    """A path on the grid that is searched.
-
-    Attributes
-    ----------
-    positions : array, shape (T, 2)
-        x and y in grid steps, NaN where the path is absent.
-    velocities : array of int, shape (T,)
-        Number of the velocity in each frame where it is present.
-    value : float
-        Its weight.
-    turn_cost : float
-        Cost of its turns.
-    """
-
-    positions: NDArray[np.float64]
-    velocities: NDArray[np.int64]
-    value: float
-    turn_cost: float
-
-    @property
-    def frames(self) -> NDArray[np.int64]:
-        """Numbers of the frames where the path is present."""
-        return np.flatnonzero(np.isfinite(self.positions[:, 0]))
 
 
 class RowThreads:
@@ -71,10 +54,15 @@ class RowThreads:
 
     def __call__(self, work: Callable[..., object], *arguments: Any) -> None:
         """Call work(*arguments, first row, last row) until all rows are done."""
-        if self._n_threads == 1 or self._n_rows < 2 * self._n_threads:
-            work(*arguments, 0, self._n_rows)
+        self.between(0, self._n_rows, work, *arguments)
+
+    def between(self, first: int, last: int, work: Callable[..., object],
+                *arguments: Any) -> None:
+        """Do so for the rows from ``first`` to ``last``."""
+        if self._n_threads == 1 or last - first < 2 * self._n_threads:
+            work(*arguments, first, last)
             return
-        bounds = np.linspace(0, self._n_rows, self._n_threads + 1).astype(int)
+        bounds = np.linspace(first, last, self._n_threads + 1).astype(int)
         with ThreadPoolExecutor(self._n_threads) as pool:
             list(pool.map(partial(work, *arguments), bounds[:-1], bounds[1:]))
 
@@ -97,6 +85,10 @@ class ViterbiTable:
     presence : Presence, optional
         Cost of entering and leaving, where targets may do so during the batch; what a frame costs
         is told with the scores.
+    most_bytes : float
+        Memory that it may take, see :func:`table_bytes`. Where that is less than for all states,
+        those of the first segments are computed whenever they are needed, and take memory only
+        while they are; what comes out is the same.
 
     Attributes
     ----------
@@ -106,24 +98,30 @@ class ViterbiTable:
     """
 
     def __init__(self, graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1,
-                 kinds: NDArray | None = None, presence: Presence | None = None):
+                 kinds: NDArray | None = None, presence: Presence | None = None,
+                 most_bytes: float = math.inf):
         self._graph = graph
-        self._layout = _layout(graph, grid_shape)
+        self._layout = layout_of(graph, grid_shape)
         self._over_rows = RowThreads(grid_shape[0], n_threads)
         kinds = np.zeros(graph.n_velocities, np.int64) if kinds is None else kinds
         self._n_kinds = int(kinds.max()) + 1
-        self._motion = _motion(graph, kinds, presence)
-        self._segments = [_segment(graph, j, self._layout, self._motion)
+        self._motion = motion_of(graph, kinds, presence)
+        self._segments = [segment_of(graph, j, self._layout, self._motion)
                           for j in range(graph.n_segments)]
-        self._end_costs = [_end_costs(presence, j == graph.n_segments - 1)
+        self._end_costs = [end_costs_of(presence, j == graph.n_segments - 1)
                            for j in range(graph.n_segments)]
         self._n_ends = graph.n_segments if presence else 1
+        self._rows = HeldRows(graph, self._layout, most_bytes - _other_bytes(
+            graph, self._layout, presence, self._n_kinds))
+        self._tracer = PathTracer(graph, self._layout, self._motion, self._segments,
+                                  self._end_costs, self._rows.whole)
         self._grid_shape = grid_shape
         # Memory is taken when the first search asks for it.
         self.best = np.empty((0, 0, 0), np.float32)
         self._scores = NO_STATES
         self._largest = np.empty((0, 0), np.float32)
-        self._tables = np.empty((0, 0), np.float32)
+        self._tables = NO_STATES
+        self._places = np.empty((0, 0, 0), np.int64)
         # Which states and which best ends are older than the scores, see ``viterbi_update``.
         self._stale = np.empty((0, 0, 0), np.uint64)
         self._stale_ends = np.empty((0, 0), np.uint64)
@@ -140,9 +138,8 @@ class ViterbiTable:
         return self._fill()
 
     def _fill(self) -> float:
-        everything = ~np.uint64(0) >> np.uint64(BLOCKS - self._n_blocks)
-        self._compute(np.full_like(self._stale, everything),
-                      np.full_like(self._stale_ends, everything))
+        self._compute(np.full_like(self._stale, self._everything),
+                      np.full_like(self._stale_ends, self._everything))
         self._stale.fill(0)
         self._stale_ends.fill(0)
         self._filled = True
@@ -197,18 +194,42 @@ class ViterbiTable:
         limit : int
             Most that are returned.
         """
-        positions = np.empty((limit, self._graph.n_frames, 2))
-        velocities = np.zeros((limit, self._graph.n_frames), np.int64)
-        values, turns = np.empty(limit), np.empty(limit, np.int64)
-        n_found = viterbi_backtrack.best_paths(
-            positions, velocities, values, turns, self.best, self._tables, self._scores,
-            self._motion, self._layout, max(above, float(ABSENT)), radius)
-        return [TracedPath(positions[i], velocities[i], float(values[i]),
-                           float(self._graph.turn_cost * turns[i])) for i in range(n_found)]
+        best = self.best.copy()
+        # The largest of each row is kept, so that a peak costs the rows around it and not all.
+        at = np.argmax(best, axis=2)
+        starts = np.empty((self._graph.n_segments, 2), np.int64)
+        # Rounding leaves much of what is absent.
+        above = max(above, 0.5 * float(ABSENT))
+        first = self._graph.n_segments - self._n_ends
+        self._tracer.begin(self._scores, self._tables, self._places)
+        peaks: list[tuple[int, int, int]] = []
+        found: dict[tuple[int, int, int], TracedPath] = {}
+        while len(peaks) < limit:
+            end, y, x = peak = viterbi_backtrack.next_peak(best, at)
+            if not best[peak] > above:
+                break
+            peaks.append(peak)
+            if self._n_ends == 1:
+                # Where it ends is known, so it may be traced together with its neighbours.
+                starts[-1] = x, y
+            else:
+                found[peak] = self._tracer.trace(first + end, y, x, starts)
+            viterbi_backtrack.leave_out(best, at, starts[first:], radius)
+        if self._n_ends == 1:
+            found = {peak: self._tracer.trace(first, *peak[1:], starts)
+                     for peak in sorted(peaks, key=lambda peak: place_of_cone(*peak))}
+        if self._end_costs[0] is None:
+            return [found[peak]._replace(value=float(self.best[peak])) for peak in peaks]
+        return [found[peak] for peak in peaks]
 
     @property
     def _n_blocks(self) -> int:
         return -(-self._layout.lanes // self._layout.block)
+
+    @property
+    def _everything(self) -> np.uint64:
+        """Return the mark of all blocks of a row."""
+        return ~np.uint64(0) >> np.uint64(BLOCKS - self._n_blocks)
 
     def _take_memory(self) -> None:
         if len(self._scores):
@@ -218,8 +239,10 @@ class ViterbiTable:
         margin = 2 * layout.pad + layout.lanes
         self._scores = np.full(n_frames * layout.n_y * layout.stride + margin, ABSENT)
         self._largest = np.empty((layout.n_y, n_frames), np.float32)
-        self._tables = absent_rows(
-            n_segments - 1, layout.guard + layout.n_y * layout.n_v * layout.stride + margin)
+        self._tables = absent_rows(1, self._rows.size + margin)[0]
+        self._places = self._rows.places()
+        self._segments = [placed(segment, j, self._places)
+                          for j, segment in enumerate(self._segments)]
         self._stale = np.zeros((n_segments, layout.n_y, layout.n_v), np.uint64)
         self._stale_ends = np.zeros((self._n_ends, layout.n_y), np.uint64)
         self.best = np.empty((self._n_ends, *self._grid_shape), np.float32)
@@ -233,15 +256,15 @@ class ViterbiTable:
 
         Where an end is wanted, the states of all velocities have to be.
         """
-        before = NO_STATES
-        for j, segment in enumerate(self._segments):
-            value = self._tables[j] if j < len(self._tables) else NO_STATES
+        for j, first, last in self._rows.turns():
             end = self._end_of(j)
             best, finished = ((self.best[end], wanted_ends[end]) if end >= 0
                               else (NO_ENDS, wanted_ends[0]))
-            self._over_rows(viterbi.extend_paths, value, best, before, self._scores, segment,
-                            self._layout, self._end_costs[j], wanted[j], finished)
-            before = value
+            self._over_rows.between(
+                first, last, viterbi.extend_paths,
+                self._tables if j < len(self._places) else NO_STATES, best,
+                self._tables if j else NO_STATES, self._scores, self._segments[j], self._layout,
+                self._end_costs[j], wanted[j], finished)
 
     def _mark_changes(self, scores: NDArray, rows: NDArray, per_frame: float) -> float:
         """Keep new scores, mark the states that meet a change; return what a path may gain."""
@@ -251,6 +274,8 @@ class ViterbiTable:
         self._over_rows(viterbi_update.replace_scores, self._scores, score_marks, rise,
                         self._largest, scores, np.float32(per_frame), rows, layout)
         before = np.empty((0, layout.n_v), np.uint64)
+        # Of what is not held, only what changes now matters.
+        self._stale[:-1][~self._rows.whole] = 0
         for j, stale in enumerate(self._stale):
             frames = slice(self._graph.knots[j], self._graph.knots[j + 1])
             self._over_rows(viterbi_update.changed_states, stale, before, score_marks[frames],
@@ -269,11 +294,13 @@ class ViterbiTable:
         """Return the states and ends that are needed to know those that may pass a level."""
         wanted, ends = np.zeros_like(self._stale), np.zeros_like(self._stale_ends)
         near = np.empty_like(self._stale[0])
+        not_held = np.full_like(near, self._everything)
         for j in range(len(self._segments) - 1, -1, -1):
             if j + 1 < len(self._segments):
                 self._over_rows(viterbi_update.spread_turns, near, wanted[j + 1],
                                 self._segments[j + 1])
-                self._over_rows(viterbi_update.wanted_before, wanted[j], self._stale[j], near,
+                self._over_rows(viterbi_update.wanted_before, wanted[j],
+                                self._stale[j] if self._rows.whole[j] else not_held, near,
                                 self._segments[j + 1].arrival, self._layout)
             end = self._end_of(j)
             if end >= 0:
@@ -284,60 +311,25 @@ class ViterbiTable:
 
 
 def table_bytes(graph: StateGraph, grid_shape: tuple[int, int],
-                presence: Presence | None = None) -> int:
-    """Return the memory that a table takes once it is filled."""
-    layout = _layout(graph, grid_shape)
-    rows = graph.n_frames + (graph.n_segments - 1) * layout.n_v
+                presence: Presence | None = None, n_kinds: int = 1,
+                most_bytes: float = math.inf) -> int:
+    """Return the memory that a table takes once it is filled, which is more than it may at times.
+
+    Parameters
+    ----------
+    graph, grid_shape, presence, most_bytes
+        As of :class:`ViterbiTable`.
+    n_kinds : int
+        How many scores there are.
+    """
+    layout = layout_of(graph, grid_shape)
+    others = _other_bytes(graph, layout, presence, n_kinds)
+    return others + HeldRows(graph, layout, most_bytes - others).n_bytes
+
+
+def _other_bytes(graph: StateGraph, layout: viterbi.Layout, presence: Presence | None,
+                 n_kinds: int) -> int:
+    """Return the memory that a table takes for scores and for the best ends."""
     n_ends = graph.n_segments if presence else 1
-    return NO_STATES.itemsize * layout.n_y * (rows * layout.stride + n_ends * layout.n_x)
-
-
-def _layout(graph: StateGraph, grid_shape: tuple[int, int]) -> viterbi.Layout:
-    n_y, n_x = grid_shape
-    pad = int(max(np.abs(graph.moves).max(), np.abs(graph.end_moves).max()))
-    stride = VECTOR * -(-(n_x + pad) // VECTOR)
-    lanes = VECTOR * -(-n_x // VECTOR)
-    return viterbi.Layout(
-        n_y, n_x, graph.n_velocities, stride, lanes, block=VECTOR * -(-lanes // (VECTOR * BLOCKS)),
-        pad=pad, guard=VECTOR * -(-(stride + 2 * pad) // VECTOR))
-
-
-def _motion(graph: StateGraph, kinds: NDArray, presence: Presence | None,
-            ) -> viterbi_backtrack.Motion:
-    """Return what the compiled loops need to know of a graph."""
-    reach = int(graph.reach)
-    columns, rows = graph.grid.T
-    velocity_at = np.full((rows.max() + 1 + 2 * reach, columns.max() + 1 + 2 * reach),
-                          graph.n_velocities)
-    velocity_at[rows + reach, columns + reach] = np.arange(graph.n_velocities)
-    entry, leaving = (presence.entry, presence.leaving) if presence else (-ABSENT, -ABSENT)
-    return viterbi_backtrack.Motion(
-        np.asarray(graph.knots, np.int64), np.asarray(graph.moves, np.int64),
-        np.asarray(graph.end_moves, np.int64), np.asarray(kinds, np.int64),
-        viterbi.Turns((rows + reach) * velocity_at.shape[1] + columns + reach,
-                      velocity_at.ravel(), velocity_at.shape[1], reach,
-                      np.float32(graph.turn_cost)),
-        np.float32(entry), np.float32(leaving))
-
-
-def _segment(graph: StateGraph, j: int, layout: viterbi.Layout,
-             motion: viterbi_backtrack.Motion) -> viterbi.Segment:
-    """Return what the compiled loops need to know of a segment."""
-    first, last = motion.knots[j], motion.knots[j + 1]
-    x, y = motion.moves[first:last].transpose(2, 1, 0)
-    frames = (np.arange(first, last) + graph.n_frames * motion.kinds[:, None]) * layout.n_y
-    return viterbi.Segment(
-        offsets=np.ascontiguousarray((frames + y) * layout.stride + x),
-        rows=np.ascontiguousarray(y), first_y=np.maximum(0, -y.min(axis=1)),
-        last_y=layout.n_y - np.maximum(0, y.max(axis=1)),
-        arrival=motion.end_moves[j - 1] if j else np.empty((0, 2), np.int64),
-        turns=motion.turns)
-
-
-def _end_costs(presence: Presence | None, last: bool) -> viterbi.EndCosts | None:
-    """Return the costs of beginning and ending within a segment, None where that may not be."""
-    if presence is None:
-        return None
-    leaving = np.float32(presence.leaving)
-    return viterbi.EndCosts(np.float32(presence.entry), leaving,
-                            np.float32(0) if last else leaving)
+    return NO_STATES.itemsize * layout.n_y * (
+        n_kinds * graph.n_frames * layout.stride + n_ends * layout.n_x)
