@@ -110,8 +110,9 @@ class DetectorOptions:
         'fluctuating', 'Whether the amplitude may differ from frame to frame; constant finds '
         'dimmer targets, if that of the whole target, whatever variance and mask leave of it, '
         'is. Of complex amplitudes it is the modulus that is constant, the phase stays free in '
-        'each frame, and little is gained. Either searches both, each at half the false alarm '
-        'rate, in twice the time: statistics and threshold are on the scale of fluctuating.',
+        'each frame, and little is gained. Either searches both, each at its share of the '
+        'false alarm rate, in twice the time: statistics and threshold are on the scale of '
+        'fluctuating.',
         kind='text', choices=('fluctuating', 'constant', 'either'))
     false_alarm_rate: float = declared(
         0.05, 'Probability that a batch without targets yields a trajectory.', kind='number',
