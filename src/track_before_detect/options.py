@@ -103,7 +103,9 @@ class DetectorOptions:
         '(partial), which is then found, at the cost of slightly dimmer targets.', kind='text',
         choices=('full', 'partial'))
     amplitudes: str = declared(
-        'non-negative', 'Sign of a target beside the background; complex for frames of complex '
+        'non-negative', 'Sign of a target beside the background; signed may change from frame to '
+        'frame, but with calibration=clutter, where a target is bright throughout a batch or '
+        'dark throughout; complex for frames of complex '
         'numbers, in which the phase of a target may be any in each frame and the noise has '
         'E|n|^2 = 1.', kind='text', choices=('non-negative', 'signed', 'complex'))
     amplitude_model: str = declared(

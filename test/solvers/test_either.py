@@ -43,7 +43,7 @@ def search(frames, model='either', **options):
 
 
 def shares_of(rate):
-    """What amplitudes that are constant hardly need is left to others, which are rarer."""
+    """Give most of a rate to constant amplitudes: fluctuating ones need little of it."""
     return {'fluctuating': 0.15 * rate, 'constant': 0.85 * rate}
 
 
