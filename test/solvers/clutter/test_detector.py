@@ -59,7 +59,7 @@ def test_not_being_told_whether_a_target_is_bright_or_dark_costs_little():
         told, untold = (searched(frames, **amplitudes).found[0].statistic
                         for amplitudes in ({'amplitudes': 'non-negative'}, {}))
         shares.append(untold / told)
-    assert np.mean(shares) > 0.94
+    assert np.mean(shares) > 0.97
 
 
 @pytest.mark.parametrize('sign', [1, -1])
