@@ -103,15 +103,18 @@ class DetectorOptions:
         '(partial), which is then found, at the cost of slightly dimmer targets.', kind='text',
         choices=('full', 'partial'))
     amplitudes: str = declared(
-        'non-negative', 'Sign of a target beside the background; complex for frames of complex '
+        'non-negative', 'Sign of a target beside the background; signed may change from frame to '
+        'frame, but with calibration=clutter, where a target is bright throughout a batch or '
+        'dark throughout; complex for frames of complex '
         'numbers, in which the phase of a target may be any in each frame and the noise has '
         'E|n|^2 = 1.', kind='text', choices=('non-negative', 'signed', 'complex'))
     amplitude_model: str = declared(
         'fluctuating', 'Whether the amplitude may differ from frame to frame; constant finds '
         'dimmer targets, if that of the whole target, whatever variance and mask leave of it, '
         'is. Of complex amplitudes it is the modulus that is constant, the phase stays free in '
-        'each frame, and little is gained. Either searches both, each at half the false alarm '
-        'rate, in twice the time: statistics and threshold are on the scale of fluctuating.',
+        'each frame, and little is gained. Either searches both, each at its share of the '
+        'false alarm rate, in twice the time: statistics and threshold are on the scale of '
+        'fluctuating.',
         kind='text', choices=('fluctuating', 'constant', 'either'))
     false_alarm_rate: float = declared(
         0.05, 'Probability that a batch without targets yields a trajectory.', kind='number',

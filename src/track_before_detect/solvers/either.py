@@ -1,8 +1,8 @@
 """Targets whose amplitude is constant or fluctuates, untold which: two searches, one result.
 
-A detector of either model searches the frames, each at half the false alarm rate, so that a batch
-of noise yields a trajectory in one of them no more often than was asked. A target that both find
-is reported once, with a constant amplitude.
+A detector of either model searches the frames, each at its share of the false alarm rate, so that
+a batch of noise yields a trajectory in one of them no more often than was asked. A target that
+both find is reported once, with a constant amplitude.
 
 The squares of both statistics are compared with the squares of their thresholds. Beyond these the
 false alarms of both fall off alike, as exp(-x^2 / 2), and half the difference is what a target
@@ -34,6 +34,8 @@ from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.types import FrameBatch, Progress, worst_status
 
+# Of the false alarm rate: fluctuating amplitudes need little of it (docs/constants/either.md).
+SHARES = {'fluctuating': 0.15, 'constant': 0.85}
 # Distance in widths of the PSF within which two paths may be one target, and the share of the
 # frames of both in which they have to be.
 NEAR = 3.0
@@ -60,8 +62,8 @@ class EitherDetector(BatchDetector):
         super().__init__(options)
         self._detectors = [
             kind(options.replace(amplitude_model=model, threshold=None,
-                                 false_alarm_rate=options.false_alarm_rate / 2))
-            for model in ('fluctuating', 'constant')]
+                                 false_alarm_rate=share * options.false_alarm_rate))
+            for model, share in SHARES.items()]
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
                   progress: Progress | None = None) -> float:

@@ -17,7 +17,7 @@ def clutter(kind, *seed, shape=(8, 64, 64)):
 
 
 def searched(frames, **options):
-    detector = ClutterDetector(DetectorOptions(**OPTIONS, **options))
+    detector = ClutterDetector(DetectorOptions(**{**OPTIONS, **options}))
     return detector.detect(FrameBatch.of(frames, np.arange(float(len(frames)))))
 
 
@@ -48,6 +48,27 @@ def test_bright_and_dark_targets_stand_out(kind, sign):
     assert found.statistic > 1
     assert found.reason == ''
     assert np.all(sign * np.median(found.amplitudes) > 0)
+
+
+def test_not_being_told_whether_a_target_is_bright_or_dark_costs_little():
+    """Bright and dark frames of one path would add up to more noise."""
+    shares = []
+    for k in range(8):
+        frames = clutter('noise', 31, k, shape=(16, 96, 96))
+        add_target(frames, 4.0, (20.0, 30.0), (1.3, 0.9))
+        told, untold = (searched(frames, **amplitudes).found[0].statistic
+                        for amplitudes in ({'amplitudes': 'non-negative'}, {}))
+        shares.append(untold / told)
+    assert np.mean(shares) > 0.97
+
+
+@pytest.mark.parametrize('sign', [1, -1])
+def test_target_that_is_dark_among_bright_ones_is_found(sign):
+    frames = clutter('k_distributed', 8, shape=(10, 96, 96))
+    ways = [add_target(frames, sign * snr, start, step) for snr, start, step in (
+        (60.0, (30, 30), (1, 0)), (-8.0, (60, 60), (0, -1)), (9.0, (20, 75), (0.5, 0)))]
+    found = searched(frames).found
+    assert [[follows(one, way) for one in found].count(True) for way in ways] == [1, 1, 1]
 
 
 def test_target_of_six_deviations_is_found_in_most_clutter():

@@ -20,15 +20,20 @@ from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
-from track_before_detect.solvers.clutter.path_tail import path_tail, PathTail
+from track_before_detect.solvers.clutter.path_tail import MOST_PATHS, path_tail, PathTail
 from track_before_detect.solvers.clutter.reasons import (
     IN_ONE_FRAME,
     ON_BORDER,
     reason_against,
 )
+from track_before_detect.solvers.clutter.strongest_paths import (
+    N_PATHS,
+    SignedPath,
+    strength,
+    StrongestPaths,
+)
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
-from track_before_detect.solvers.search.path_search import FoundPath
 from track_before_detect.types import Progress, Step
 
 BELOW = 'below the threshold'
@@ -39,14 +44,14 @@ FAR_BELOW = 'far below the threshold'
 # Distance of paths that count as separate, and side of the square that is set aside with each at
 # least, both in widths of the PSF.
 SEPARATION = 5.0
-# Paths looked at in each search.
-N_PATHS = 80
 # Share of the frames in which two paths are near each other and count as one in the tail.
 TOUCHING = 0.2
 # Paths whose positions are refined to find the strongest.
 N_REFINED = 3
 # Trajectories after which a batch is left.
 MOST_TRAJECTORIES = 30
+# What no amplitude that fluctuates asks for.
+NO_ENVELOPE = np.empty(0)
 # Radius of the place where a trajectory of the batch before is expected, in widths of the PSF.
 EXPECTED = 3.0
 # Deviations beyond which pixels beside a target belong to it, however wide it is.
@@ -59,9 +64,13 @@ class ClutterDetector(PathDetector):
     """Finds the trajectories of a batch that stand out from all other paths in it.
 
     Statistics are in units of their threshold. Paths are searched on whole pixels and refined.
+    Targets of ``amplitudes=signed`` are bright throughout a batch, or dark.
     """
 
     def __init__(self, options: DetectorOptions, measurement: MeasurementModel | None = None):
+        self._signs: tuple[int, ...] = (1,)
+        if options.amplitudes == 'signed':
+            self._signs, options = (1, -1), options.replace(amplitudes='non-negative')
         super().__init__(options, measurement or psf_of(options).on_whole_pixels())
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
@@ -72,20 +81,22 @@ class ClutterDetector(PathDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
         refiner = refiner_for(task.targets)
-        frames, rate = task.paths.frames.copy(), self.options.false_alarm_rate
+        strongest = StrongestPaths(
+            task, refiner, self._signs, SEPARATION * self.measurement.width_px)
+        frames, rate = strongest.frames, self.options.false_alarm_rate
         found: list[FoundTrajectory] = []
         rejected: list[FoundTrajectory] = []
         status = 'iteration_limit'
-        others, level, least = self._strongest(task, frames), math.inf, math.inf
+        others, level, least = strongest.by_strength(), math.inf, math.inf
         share = math.pi * (EXPECTED * self.measurement.width_px) ** 2 / np.prod(frames.shape[1:])
         while len(found) + len(rejected) < MOST_TRAJECTORIES and not task.watch.time_is_up():
             if not others:
                 status = 'converged'
                 break
-            path = max((_refined(refiner, frames, path) for path in others[:N_REFINED]),
-                       key=lambda path: path.value)
+            path = max((strongest.refined(path) for path in others[:N_REFINED]), key=strength)
             self._set_aside(frames, path.positions)
-            others = self._strongest(task, frames)
+            strongest.renew(path.sign)
+            others = strongest.by_strength()
             if not others:
                 # Nothing is left of the frames that it could be compared with.
                 status = 'converged'
@@ -100,12 +111,11 @@ class ClutterDetector(PathDetector):
             reason = reason_against(trajectory, task.paths.frames,
                                     self.measurement.width_px, task.scene)
             (rejected if reason else found).append(replace(trajectory, reason=reason))
-        rejected += [self._trajectory(task, path, level, BELOW) for path in others
+        rejected += [self._trajectory(task, path, level, BELOW) for path in others[:N_PATHS]
                      if self.scale.statistic(path.value, len(frames)) > least]
         if not found and not rejected and others:
             rejected = [self._trajectory(task, others[0], level, FAR_BELOW)]
-        strongest = max((path.value for path in others), default=0.0)
-        best = self.scale.statistic(strongest, len(frames)) / level
+        best = self.scale.statistic(max(map(strength, others), default=0.0), len(frames)) / level
         history = [Step(0.0, float('nan'), len(found), best - 1)]
         return BatchResult(found, 1.0, task.watch.status(status), history,
                            best_statistic=best, rejected=rejected)
@@ -117,20 +127,18 @@ class ClutterDetector(PathDetector):
     def _threshold(self, *_: object) -> float:
         return 1.0
 
-    def _strongest(self, task: Task, frames: NDArray) -> list[FoundPath]:
-        """Return the strongest separate paths, the strongest first."""
-        _, found = task.search.best_paths(
-            frames, 0.0, SEPARATION * self.measurement.width_px, lambda _: True, N_PATHS)
-        return found
-
-    def _tail(self, paths: list[FoundPath], shape: tuple[int, ...]) -> PathTail:
+    def _tail(self, paths: list[SignedPath], shape: tuple[int, ...]) -> PathTail:
         reach = SEPARATION * self.measurement.width_px
-        apart: list[FoundPath] = []
+        apart: list[SignedPath] = []
+        taken = np.empty((0, len(paths[0].positions), 2))
         for path in paths:
             # Paths that touch a stronger one on their way owe it what they have.
-            if not any(np.mean(np.hypot(*(path.positions - other.positions).T) < reach) > TOUCHING
-                       for other in apart):
+            near = np.hypot(*(path.positions - taken).transpose(2, 0, 1)) < reach
+            if not np.any(near.mean(axis=1) > TOUCHING):
                 apart.append(path)
+                taken = np.concatenate([taken, path.positions[None]])
+            if len(apart) > MOST_PATHS:
+                break
         statistics = [self.scale.statistic(path.value, len(path.positions)) for path in apart]
         return path_tail([*statistics, *[0.0] * max(3 - len(statistics), 0)],
                          float(np.prod(shape) / reach**2))
@@ -148,14 +156,18 @@ class ClutterDetector(PathDetector):
             slope = 2 * round(SLOPE * self.measurement.width_px) + 1
             wide[ndimage.maximum_filter(np.isin(parts, own[own > 0]), slope)] = 0
 
-    def _trajectory(self, task: Task, path: FoundPath, level: float,
+    def _trajectory(self, task: Task, path: SignedPath, level: float,
                     reason: str = '', refiner: PathRefiner | None = None) -> FoundTrajectory:
         paths = task.paths
+        covariance = None if refiner is None else refiner.covariance(
+            path.sign * paths.frames, path.positions)
         added = paths.add(path.positions, path.cost)
-        paths.assign(np.array([added]), paths.best(added)[None])
-        found = self.trajectory(paths, added, path.value, refiner)
+        seen = path.sign * paths.matched[[added]]
+        paths.assign(np.array([added]), path.sign * self.model.best(seen, NO_ENVELOPE))
+        found = self.trajectory(paths, added, path.value)
         paths.remove(np.array([added]))
-        return replace(found, statistic=found.statistic / level, reason=reason)
+        return replace(found, statistic=found.statistic / level, reason=reason,
+                       covariance=covariance)
 
 
 def _window(x: float, y: float, reach: float, shape: tuple[int, ...]) -> tuple[slice, slice]:
@@ -163,12 +175,3 @@ def _window(x: float, y: float, reach: float, shape: tuple[int, ...]) -> tuple[s
     rows, columns = ((max(math.ceil(at - reach), 0), max(math.floor(at + reach) + 1, 0))
                      for at in (y, x))
     return slice(*np.minimum(rows, shape[0])), slice(*np.minimum(columns, shape[1]))
-
-
-def _refined(refiner: PathRefiner, frames: NDArray, path: FoundPath) -> FoundPath:
-    """Return a path moved to where it explains most."""
-    # Every threshold below a path refines it; it is not known yet.
-    positions, cost = refiner.refine(frames, path.positions, path.cost, 1.0, 0.0) or (
-        path.positions, path.cost)
-    value = refiner.value(frames, positions, cost)
-    return FoundPath(positions, value, cost) if value > path.value else path

@@ -1,0 +1,114 @@
+"""The strongest separate paths of a batch, of targets that are bright throughout or dark.
+
+Bright and dark frames of one path do not add up, which would be one more way to follow the noise:
+the two signs are searched apart, one after the other with the same tables.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from track_before_detect.solvers.clutter.path_tail import MOST_PATHS
+from track_before_detect.solvers.path_detector import Task
+from track_before_detect.solvers.refine.refinement import PathRefiner
+from track_before_detect.solvers.search.path_search import FoundPath
+
+# Paths looked at in each search, and how many of them are enough for a tail.
+N_PATHS, ENOUGH = 80, 60
+# Share of the value of a path below which it has lost pixels.
+UNTOUCHED = 0.999
+
+
+@dataclass(frozen=True)
+class SignedPath(FoundPath):
+    """A path along which a target is bright, or dark where the sign is -1."""
+
+    sign: int
+
+
+def strength(path: SignedPath) -> float:
+    """Return the value of a path."""
+    return path.value
+
+
+class StrongestPaths:
+    """The strongest separate paths of the frames of a batch, from which some are taken.
+
+    Parameters
+    ----------
+    task : Task
+        The batch, with a search for bright targets.
+    refiner : PathRefiner
+        Moves a path of a bright target off the grid.
+    signs : sequence of int
+        1 for bright targets, -1 for dark ones.
+    separation : float
+        Distance in pixels of paths that are separate.
+
+    Attributes
+    ----------
+    frames : array, shape (T, H, W)
+        Frames that are searched; tell :meth:`renew` what is changed.
+    """
+
+    def __init__(self, task: Task, refiner: PathRefiner, signs: Sequence[int],
+                 separation: float):
+        self._search = task.search
+        self._refiner = refiner
+        self._separation = separation
+        self.frames = task.paths.frames.copy()
+        self._searched = signs[-1]
+        self._by_sign: dict[int, list[SignedPath]] = {}
+        # Most targets are bright: what is searched last is known when one is taken.
+        for sign in reversed(signs):
+            self._by_sign[sign] = self._found(sign)
+
+    def by_strength(self) -> list[SignedPath]:
+        """Return the paths, the strongest first."""
+        return sorted((path for found in self._by_sign.values() for path in found),
+                      key=strength, reverse=True)
+
+    def refined(self, path: SignedPath) -> SignedPath:
+        """Return a path moved to where it explains most."""
+        frames = path.sign * self.frames
+        # Every threshold below a path refines it; it is not known yet.
+        positions, cost = self._refiner.refine(
+            frames, path.positions, path.cost, 1.0, 0.0) or (path.positions, path.cost)
+        value = self._refiner.value(frames, positions, cost)
+        return SignedPath(positions, value, cost, path.sign) if value > path.value else path
+
+    def renew(self, sign: int) -> None:
+        """Find the paths anew after the pixels of a path of a sign were taken out of the frames.
+
+        Those of the other sign are kept, less what they owed to these pixels, as long as a tail
+        can be told from those that owed nothing.
+        """
+        for other in self._by_sign:
+            if other != sign:
+                left = self._left(other)
+                if sum(path.value > UNTOUCHED * before.value for path, before in zip(
+                        left, self._by_sign[other], strict=True)) >= MOST_PATHS:
+                    self._by_sign[other] = left
+                    continue
+            self._by_sign[other] = self._found(other)
+
+    def _left(self, sign: int) -> list[SignedPath]:
+        """Return the paths of a sign with their values in the present frames."""
+        frames = sign * self.frames
+        return [replace(path, value=self._refiner.value(frames, path.positions, path.cost))
+                for path in self._by_sign[sign]]
+
+    def _found(self, sign: int) -> list[SignedPath]:
+        """Return the strongest paths of a sign in the present frames."""
+        levels = [0.0]
+        if sign != self._searched:
+            self._search.forget()
+        elif len(self._by_sign.get(sign, ())) == N_PATHS:
+            # Only states that may pass the weakest are then computed anew.
+            levels = [self._by_sign[sign][-1].value, 0.0]
+        self._searched = sign
+        for level in levels:
+            _, found = self._search.best_paths(
+                sign * self.frames, level, self._separation, lambda _: True, N_PATHS)
+            if len(found) >= ENOUGH:
+                break
+        return [SignedPath(path.positions, path.value, path.cost, sign) for path in found]
