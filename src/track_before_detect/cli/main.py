@@ -45,8 +45,10 @@ class _Terminated(SystemExit):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(format='tbd: %(levelname)s: %(message)s', level=logging.WARNING)
-    # We say how much memory a search is going to take.
-    logging.getLogger(__name__.partition('.')[0]).setLevel(logging.INFO)
+    # We say how much memory a search is going to take, and whoever called goes on as before.
+    ours = logging.getLogger(__name__.partition('.')[0])
+    level = ours.level
+    ours.setLevel(logging.INFO)
     _prepare_output()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _terminate)
@@ -54,6 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         try:
             return _run(arguments)
         finally:
+            ours.setLevel(level)
             sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output, such as head, has seen enough; closing must not fail again.
