@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from track_before_detect import geometry
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.prepare import PreparedBatch
-from track_before_detect.preprocess.registration import register, Registration
+from track_before_detect.preprocess.registration.registration import register, Registration
 from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.preprocess.whiteness import autocorrelation
 from track_before_detect.solvers.batch_detector import BatchResult

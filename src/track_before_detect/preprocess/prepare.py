@@ -29,9 +29,12 @@ from track_before_detect.preprocess.noise_level import (
     scene_level,
 )
 from track_before_detect.preprocess.per_frame import each_frame, KeptFrames, shown
-from track_before_detect.preprocess.registration import register_features, Registration
-from track_before_detect.preprocess.registration_choice import register_simply
-from track_before_detect.preprocess.registration_correlation import features_of
+from track_before_detect.preprocess.registration.choice import register_simply
+from track_before_detect.preprocess.registration.correlation import features_of
+from track_before_detect.preprocess.registration.registration import (
+    register_features,
+    Registration,
+)
 from track_before_detect.preprocess.resampling import shift_whole, warped_frames
 from track_before_detect.preprocess.scene_noise import scene_noise
 from track_before_detect.preprocess.whiteness import coloured_noise_factor

@@ -17,7 +17,7 @@ from track_before_detect.errors import ParameterError, suggestion
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.amplitude_scale import recognised_scale
 from track_before_detect.preprocess.prepare import frames_beyond
-from track_before_detect.preprocess.registration import register
+from track_before_detect.preprocess.registration.registration import register
 from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
-from track_before_detect.evaluation.benchmarks.own_process import in_own_process, peak_memory
 from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
+from track_before_detect.evaluation.engine.own_process import in_own_process, peak_memory
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.per_frame import KeptFrames

@@ -5,7 +5,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csgraph
 
 from track_before_detect.preprocess.per_frame import each_frame, shown
-from track_before_detect.preprocess.registration_correlation import CREDIBLE, features_of, match
+from track_before_detect.preprocess.registration.correlation import CREDIBLE, features_of, match
 from track_before_detect.preprocess.robust import median_deviation, robust_deviation
 
 _FAR = 5.0  # times the usual contrast, or one over that: another picture, or none

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from track_before_detect import geometry
 from track_before_detect.parallel import map_in_threads
 from track_before_detect.preprocess.per_frame import each_frame
-from track_before_detect.preprocess.registration_correlation import CREDIBLE, features_of, match
-from track_before_detect.preprocess.registration_gauss_newton import align, Template
+from track_before_detect.preprocess.registration.correlation import CREDIBLE, features_of, match
+from track_before_detect.preprocess.registration.gauss_newton import align, Template
 from track_before_detect.preprocess.resampling import warped
 
 _MOST_UNCERTAIN_PX = 0.5  # at a corner, of a map that is believed

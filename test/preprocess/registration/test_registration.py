@@ -5,7 +5,7 @@ import pytest
 from scipy import ndimage
 
 from track_before_detect import geometry
-from track_before_detect.preprocess.registration import register
+from track_before_detect.preprocess.registration.registration import register
 
 SHAPE = (128, 160)
 

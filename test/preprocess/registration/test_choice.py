@@ -6,9 +6,9 @@ from scipy import ndimage
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.prepare import prepare
-from track_before_detect.preprocess.registration import register
-from track_before_detect.preprocess.registration_choice import register_simply
-from track_before_detect.preprocess.registration_correlation import features_of
+from track_before_detect.preprocess.registration.choice import register_simply
+from track_before_detect.preprocess.registration.correlation import features_of
+from track_before_detect.preprocess.registration.registration import register
 from track_before_detect.types import FrameBatch
 
 N_FRAMES, HEIGHT, WIDTH = 12, 120, 160

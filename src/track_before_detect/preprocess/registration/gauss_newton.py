@@ -1,6 +1,6 @@
 """Registration by Gauss-Newton steps on the pixels: affine and projective maps of the scene.
 
-The maps are found where the shift of the module ``registration_correlation`` left off: the frames'
+The maps are found where the shift of the module ``correlation`` left off: the frames'
 features (high-passed and clipped, without targets and hot pixels) are compared at a few thousand
 points, from blurred to sharp, by Gauss-Newton steps with weights that fall with the residual, so
 that what moves by itself has no say (Lucas and Kanade 1981; Baker and Matthews 2004, Section 3).

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.kernels.pictures.boxes import box_mean
-from track_before_detect.preprocess.registration import register_features, Registration
+from track_before_detect.preprocess.registration.registration import (
+    register_features,
+    Registration,
+)
 from track_before_detect.preprocess.resampling import warped
 
 # Side of the tiles in which what is left is compared.
