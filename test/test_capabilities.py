@@ -70,7 +70,7 @@ CASES = {
     # No room for the fast.
     'max_memory_gb': [Case(0.0015, {'max_speed_px_s': 4.0, 'max_acceleration_px_s2': 1.0})],
     'registration': [Case(name, {'threshold': 13.0}, 'panning')
-                     for name in ('translation', 'affine', 'homography')],
+                     for name in ('translation', 'affine', 'homography', 'auto')],
     'background': [Case(name, {'threshold': 13.0}, 'panning') for name in (
         'temporal_median', 'spatial_median', 'temporal_spatial_median', 'either')],
     'search_plane': [Case('image', {'registration': 'affine', 'threshold': None,

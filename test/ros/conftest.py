@@ -173,6 +173,8 @@ class Station:
         """Call a service; return the response."""
         client = self.node.create_client(kind, service)
         self.wait_until(client.service_is_ready, f'service {service}')
+        # The answer is lost where the server has not yet discovered who asks.
+        self.spin_for(0.5)
         future = client.call_async(request)
         return self.wait_until(lambda: future.done() and future.result(), f'answer of {service}')
 

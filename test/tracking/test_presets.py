@@ -67,7 +67,7 @@ def test_complex_frames_are_scaled_and_nothing_else():
 
 def test_shaking_scene_is_registered_and_searched_on_the_image():
     options, reasons = choose_options(AUTO, {}, scene(jitter=1.0))
-    assert options.registration == 'translation'
+    assert options.registration == 'auto'
     assert options.search_plane == 'image'
     assert any('px' in reason for reason in reasons)
 

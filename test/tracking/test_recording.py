@@ -239,9 +239,9 @@ def fading_target(snr, seed=31):
 
 
 @pytest.mark.parametrize('snr', [
-    [6] * 20 + [2.0] * 10 + [6] * 15,
-    [6] * 20 + [2.0] * 10,
-    [2.0] * 10 + [6] * 20])
+    [6] * 20 + [1.7] * 10 + [6] * 15,
+    [6] * 20 + [1.7] * 10,
+    [1.7] * 10 + [6] * 20])
 def test_target_is_followed_through_batches_in_which_it_is_too_dim_to_be_found(snr):
     frames, way = fading_target(snr)
     dim = np.flatnonzero(np.array(snr) < 3)

@@ -490,8 +490,12 @@ def _check_size(frames: NDArray) -> None:
 def frames_beyond(frames: NDArray, most: float = MOST_VALUE) -> NDArray[np.bool_]:
     """Return the frames (T,) with a pixel beyond a bound of either sign."""
     parts = frames.view(frames.real.dtype) if np.iscomplexobj(frames) else frames
-    return np.array(each_frame(lambda frame: max(
-        np.fmax.reduce(frame, axis=None), -np.fmin.reduce(frame, axis=None)) > most, parts), bool)
+
+    def is_beyond(frame: NDArray) -> bool:
+        return bool(np.fmax.reduce(frame, axis=None) > most
+                    or np.fmin.reduce(frame, axis=None) < -most)
+
+    return np.array(each_frame(is_beyond, parts), bool)
 
 
 def _largest(frames: NDArray) -> tuple[float, int, str]:

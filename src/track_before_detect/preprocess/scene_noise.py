@@ -15,7 +15,7 @@ from track_before_detect.preprocess.per_frame import each_frame
 
 _PIXELS = 30_000  # of a batch that are fitted
 _LEAST_PIXELS = 1000
-_ROUNDS = 5  # of the fit, in each of which outlying pixels count as much as at the border
+_ROUNDS = 10  # of the fit, in each of which outlying pixels count as much as at the border
 _OUTLYING = 3.0  # deviations beyond which a pixel belongs to a target, or to no model
 _CUT = 1 / 0.973  # over the mean of squares of normal numbers that are cut there
 _MEDIAN_OF_SQUARES = 0.455  # of normal numbers

@@ -21,7 +21,8 @@ _OF_PIXELS = ('psf.psf_profiles:fill_profiles', 'scores.matched_filter:filter_fr
 _OF_PATHS = (
     *_OF_PIXELS, 'fit.group_lasso:solve', 'fit.least_squares:find_blocks',
     'fit.least_squares:solve', 'psf.gauss_newton:best_amplitudes',
-    'psf.gauss_newton:maximise_statistic', 'psf.measurement:evaluate',
+    'psf.gauss_newton:maximise_statistic', 'psf.measurement:curvatures',
+    'psf.measurement:evaluate',
     'psf.measurement:render_path', 'psf.psf_stamps:accumulate', 'psf.psf_stamps:correlate',
     'psf.psf_stamps:overlap', 'scores.matched_filter:scores_of_frame',
     'search.viterbi:extend_paths', *(f'search.viterbi_backtrack:{name}' for name in (

@@ -18,8 +18,9 @@ from track_before_detect.preprocess.registration.registration import (
 )
 from track_before_detect.preprocess.resampling import warped
 
-# Side of the tiles in which what is left is compared.
-_TILE_PX = 16
+# Side of the tiles in which what is left is compared, and the least one of small frames, which
+# are to have some tiles as well.
+_TILE_PX, _LEAST_TILE_PX, _TILES = 16, 4, 8
 # Deviations of the sum over the tiles by which a map that can do more has to leave less.
 _BETTER = 4.0
 # Side of the box whose mean is compared.
@@ -74,7 +75,8 @@ def _better(features: Sequence[NDArray], reference: int, numbers: NDArray,
 def _left(fixed: NDArray, moving: NDArray, matrix: NDArray) -> NDArray[np.float64]:
     """Return what of two features is not alike in each tile, NaN where it is not known."""
     left = np.abs(warped(_smooth(moving[0]), matrix) - _smooth(fixed[0]))
-    rows, columns = (max(side // _TILE_PX, 1) for side in left.shape)
+    rows, columns = (max(side // min(_TILE_PX, max(side // _TILES, _LEAST_TILE_PX)), 1)
+                     for side in left.shape)
     tall, wide = left.shape[0] // rows, left.shape[1] // columns
     tiles = left[:rows * tall, :columns * wide].reshape(rows, tall, columns, wide)
     return tiles.mean(axis=(1, 3)).ravel()
