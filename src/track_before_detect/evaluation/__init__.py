@@ -21,6 +21,7 @@ distribution of its own. These are the doors of the rest that it goes through:
 - what benches take apart: ``models.amplitudes``, ``models.measurement.base``,
   ``models.measurement.psf``, ``models.motion.state_graph``, ``models.motion.velocity_grid``,
   ``solvers.convex.detector``, ``solvers.given_paths.fit_paths``, ``solvers.search.memory``,
-  ``solvers.search.viterbi_table``, ``solvers.velocity.shift_and_stack``, ``preprocess.per_frame``, ``preprocess.prepare``;
+  ``solvers.search.viterbi_table``, ``solvers.velocity.shift_and_stack``,
+  ``preprocess.per_frame``, ``preprocess.prepare``;
 - flags of its one compiled loop: ``kernels.compile_flags``.
 """
