@@ -10,14 +10,15 @@ pytest.importorskip('rclpy')
 import rclpy  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
+from track_before_detect.ros import frame_publisher_node  # noqa: E402
 from track_before_detect.ros.detector_node import DetectorNode, PARAMETERS  # noqa: E402
 
-PAGE = Path(__file__).parents[2] / 'docs' / 'nodes' / 'detector.md'
+PAGES = Path(__file__).parents[2] / 'docs' / 'nodes'
 
 
 @pytest.fixture(scope='module')
 def page():
-    return PAGE.read_text(encoding='utf-8')
+    return (PAGES / 'detector.md').read_text(encoding='utf-8')
 
 
 def rows(page):
@@ -61,3 +62,25 @@ def test_it_names_the_parameters_of_the_node_alone_and_those_that_are_live(page)
     assert set(re.findall('`(.*?)`', live)) == {name for name, is_live in own.items() if is_live}
     assert set(re.findall('`(.*?)`', at_start)) == {
         name for name, is_live in own.items() if not is_live}
+
+
+@pytest.mark.parametrize('message', ['image', 'frame'])
+def test_that_of_the_publisher_names_its_topics_and_parameters(ros_domain, message):
+    page = (PAGES / 'frame_publisher.md').read_text(encoding='utf-8')
+    context = rclpy.Context()
+    context.init(domain_id=int(ros_domain))
+    node = frame_publisher_node.FramePublisherNode(context=context, parameter_overrides=[
+        Parameter('message', value=message)])
+    try:
+        topics = {topic.lstrip('/'): types[0] for topic, types in
+                  node.get_publisher_names_and_types_by_node('frame_publisher', '/')
+                  if not topic.endswith(('/rosout', '/parameter_events'))}
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    said = rows(page)
+    del said[{'image': 'frame', 'frame': 'image'}[message]]
+    assert topics == said
+    text = page[page.index('at the start:'):page.index('## Failure')]
+    assert re.findall('`(.*?)`', text) == [
+        parameter.name for parameter in frame_publisher_node.PARAMETERS]

@@ -5,6 +5,7 @@ Topics (relative): out ``image`` (sensor_msgs/Image) or ``frame`` (std_msgs/Floa
 """
 
 import time
+from typing import Any
 
 from nav_msgs.msg import Path
 import numpy as np
@@ -76,11 +77,19 @@ PARAMETERS = [
 
 
 class FramePublisherNode(ParameterizedNode):
-    """Publishes one frame whenever it is due; :meth:`step` is called in a loop."""
+    """Publishes one frame whenever it is due; :meth:`step` is called in a loop.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    name : str
+        Name of the node.
+    **settings
+        Of :class:`rclpy.node.Node`: context, namespace, parameter_overrides and so on.
+    """
+
+    def __init__(self, name: str = 'frame_publisher', **settings: Any) -> None:
         self._recording: Recording | None = None
-        super().__init__('frame_publisher', PARAMETERS)
+        super().__init__(name, PARAMETERS, **settings)
         self._open()
         self._create_outputs()
         self.finish_parameters()
