@@ -165,7 +165,7 @@ def test_a_shaking_scene_is_recognised_untold_and_its_target_is_the_only_track(l
     # Its loops may have to be compiled first.
     station.wait_until(lambda: len(clouds) == 3, 'three clouds', 4 * TIMEOUT_S)
     found = station.wait_for_diagnostics(state='ready', batches=3, preset='auto')
-    assert 'registration=translation' in found['options']
+    assert 'registration=auto' in found['options']
     assert 'batch_length=16, hop=8' in found['options']
     assert 'the picture moves by' in found['reasons']
     for line in found['reasons'].split('; '):
