@@ -11,6 +11,8 @@ import pytest
 
 pytest.importorskip('rclpy')
 
+from track_before_detect.kernels.compiled_cache import cache_folder  # noqa: E402
+
 TIMEOUT_S = 60.0
 LONGEST_S = 2.0
 SIGNALS = itertools.cycle([signal.SIGINT, signal.SIGTERM])
@@ -67,11 +69,15 @@ def test_signals_at_any_time_after_the_start_end_it_in_time_without_a_traceback(
 @pytest.mark.alone
 @pytest.mark.parametrize('doing', ['compiling', 'calibrating'])
 def test_a_signal_ends_a_preparation(launch, tmp_path, monkeypatch, doing):
-    # Nothing is in the caches.
-    monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
-    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
+    # No threshold is in the cache; loops are only where they are not what is waited for.
     if doing == 'calibrating':
-        monkeypatch.delenv('NUMBA_CACHE_DIR')
+        loops = tmp_path / 'track_before_detect' / 'loops'
+        loops.parent.mkdir()
+        loops.symlink_to(cache_folder())
+        monkeypatch.delenv('NUMBA_CACHE_DIR', raising=False)
+    else:
+        monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
+    monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     detector = launch('detector', '-p', 'frame_height:=256', '-p', 'frame_width:=320', '-p',
                       'frame_rate_hz:=10.0', '-p', 'preset:=none')
     detector.wait_for_line(doing)
