@@ -95,7 +95,7 @@ class ClutterDetector(PathDetector):
                 break
             path = max((strongest.refined(path) for path in others[:N_REFINED]), key=strength)
             self._set_aside(frames, path.positions)
-            strongest.renew(path.sign)
+            strongest.without_touched()
             others = strongest.by_strength()
             if not others:
                 # Nothing is left of the frames that it could be compared with.
@@ -111,6 +111,8 @@ class ClutterDetector(PathDetector):
             reason = reason_against(trajectory, task.paths.frames,
                                     self.measurement.width_px, task.scene)
             (rejected if reason else found).append(replace(trajectory, reason=reason))
+            strongest.renew(path.sign)
+            others = strongest.by_strength()
         rejected += [self._trajectory(task, path, level, BELOW) for path in others[:N_PATHS]
                      if self.scale.statistic(path.value, len(frames)) > least]
         if not found and not rejected and others:

@@ -76,20 +76,20 @@ class StrongestPaths:
         value = self._refiner.value(frames, positions, cost)
         return SignedPath(positions, value, cost, path.sign) if value > path.value else path
 
-    def renew(self, sign: int) -> None:
-        """Find the paths anew after the pixels of a path of a sign were taken out of the frames.
+    def without_touched(self) -> None:
+        """Take from the paths what they owed to pixels that were taken out of the frames.
 
-        Those of the other sign are kept, less what they owed to these pixels, as long as a tail
-        can be told from those that owed nothing.
+        Paths of a sign are found anew where too few owed nothing for a tail to be told from them.
         """
-        for other in self._by_sign:
-            if other != sign:
-                left = self._left(other)
-                if sum(path.value > UNTOUCHED * before.value for path, before in zip(
-                        left, self._by_sign[other], strict=True)) >= MOST_PATHS:
-                    self._by_sign[other] = left
-                    continue
-            self._by_sign[other] = self._found(other)
+        for sign, known in self._by_sign.items():
+            left = self._left(sign)
+            untouched = sum(path.value > UNTOUCHED * before.value
+                            for path, before in zip(left, known, strict=True))
+            self._by_sign[sign] = left if untouched >= MOST_PATHS else self._found(sign)
+
+    def renew(self, sign: int) -> None:
+        """Find the paths of a sign anew: beside one that is taken there may be others."""
+        self._by_sign[sign] = self._found(sign)
 
     def _left(self, sign: int) -> list[SignedPath]:
         """Return the paths of a sign with their values in the present frames."""
