@@ -217,8 +217,9 @@ def noise_of_one(seen: PreparedBatch, batch: FrameBatch, options: DetectorOption
         prepared = replace(
             prepared, maps=geometry.translations(np.zeros((len(prepared), 2))),
             scene=_credible(prepared.registration))
-    prepared = _without_garbage(prepared, MOST_OVER_NOISE, ' times their noise')
-    _check_size(prepared.frames)
+    if frames_beyond(prepared.frames, MOST_OVER_NOISE).any():
+        prepared = _without_garbage(prepared, MOST_OVER_NOISE, ' times their noise')
+        _check_size(prepared.frames)
     return prepared
 
 
@@ -366,7 +367,7 @@ def _credible(registration: Registration | None) -> NDArray[np.float64] | None:
 def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:
     """Return a batch without what stands still on the registered plane."""
     left = remove_temporal_median(_real_parts(prepared.frames), prepared.maps)
-    if not np.array_equal(prepared.maps, np.broadcast_to(np.eye(3), prepared.maps.shape)):
+    if not _stand_still(prepared.maps):
         remove_stripes(left)
     return replace(prepared, frames=left.view(prepared.frames.dtype))
 
@@ -408,7 +409,7 @@ def _noise_level(prepared: PreparedBatch, method: str, floor: float, width_px: f
         level = frame_level(parts, floor)
     elif method == 'local':
         level = np.stack(kept.each(local_level, parts, prepared.frame_indices, floor, width_px))
-    elif np.array_equal(maps, np.broadcast_to(np.eye(3), maps.shape)):
+    elif _stand_still(maps):
         level = pixel_level(parts, floor)
     else:
         level = scene_level(parts, maps, floor)
@@ -422,6 +423,11 @@ def _noise_level(prepared: PreparedBatch, method: str, floor: float, width_px: f
         if level.shape[2] > 1:
             level = np.sqrt(0.5 * (level[..., 0::2] ** 2 + level[..., 1::2] ** 2))
     return level
+
+
+def _stand_still(maps: NDArray) -> bool:
+    """Return whether the scene is at the same place in all frames."""
+    return np.array_equal(maps, np.broadcast_to(np.eye(3), maps.shape))
 
 
 def _with_white_scale(prepared: PreparedBatch, width_px: float) -> PreparedBatch:

@@ -95,6 +95,8 @@ def register_features(features: Sequence[NDArray], model: str,
         Of each frame, see ``features_of``.
     model : str
         ``'translation'``, ``'affine'`` or ``'homography'``.
+    reference : int, optional
+        The frame that others are compared with, that in the middle unless given.
     """
     n_frames = len(features)
     if reference is None:

@@ -12,7 +12,7 @@ def main(args: list[str] | None = None) -> NoReturn:
     from track_before_detect.ros import frame_publisher_node
     from track_before_detect.ros.executables.running import run
     run('frame_publisher', frame_publisher_node, frame_publisher_node.FramePublisherNode,
-               frame_publisher_node.play, ending, args)
+        frame_publisher_node.play, ending, args)
 
 
 if __name__ == '__main__':

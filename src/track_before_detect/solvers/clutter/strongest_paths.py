@@ -47,7 +47,7 @@ class StrongestPaths:
     Attributes
     ----------
     frames : array, shape (T, H, W)
-        Frames that are searched; tell :meth:`renew` what is changed.
+        Frames that are searched; call :meth:`without_touched` after a change.
     """
 
     def __init__(self, task: Task, refiner: PathRefiner, signs: Sequence[int],
