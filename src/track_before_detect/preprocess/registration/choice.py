@@ -4,8 +4,9 @@ A map that can do more also follows more of what moves by itself in front of a s
 leaves do. So it is taken only where it leaves less of the scene in most parts of the picture.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+import functools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,15 +42,16 @@ def register_simply(features: Sequence[NDArray]) -> Registration:
     numbers = _frames_looked_at(shifts)
     if not len(numbers):
         return shifts
+    smooth = functools.cache(lambda t: _smooth(features[t][0]))
     still = replace(shifts, maps=geometry.translations(np.zeros((len(features), 2))))
-    chosen = _better(features, shifts.reference, numbers, still, shifts)
+    chosen = _better(smooth, shifts.reference, numbers, still, shifts)
     ends = np.unique([numbers[0], shifts.reference, numbers[-1]])
     middle = int(np.searchsorted(ends, shifts.reference))
     tried = register_features([features[t] for t in ends], 'affine', middle)
     turned = replace(chosen, maps=chosen.maps.copy())
     turned.maps[ends] = tried.maps
     if (tried.credible & tried.refined).all() and _better(
-            features, shifts.reference, ends[ends != shifts.reference], chosen,
+            smooth, shifts.reference, ends[ends != shifts.reference], chosen,
             turned) is turned:
         return register_features(features, 'affine')
     return chosen
@@ -62,19 +64,22 @@ def _frames_looked_at(found: Registration) -> NDArray[np.intp]:
     return np.setdiff1d(credible[chosen], [found.reference])
 
 
-def _better(features: Sequence[NDArray], reference: int, numbers: NDArray,
+def _better(smooth: Callable[[int], NDArray], reference: int, numbers: NDArray,
             simple: Registration, able: Registration) -> Registration:
-    """Return the second of two registrations where it leaves clearly less, or the first."""
+    """Return the second of two registrations where it leaves clearly less, or the first.
+
+    ``smooth`` returns the features of a frame, smoothed, by its number.
+    """
     gain = np.concatenate([
-        _left(features[reference], features[t], simple.maps[t])
-        - _left(features[reference], features[t], able.maps[t]) for t in numbers])
+        _left(smooth(reference), smooth(t), simple.maps[t])
+        - _left(smooth(reference), smooth(t), able.maps[t]) for t in numbers.tolist()])
     gain = gain[np.isfinite(gain)]
     return able if gain.sum() > _BETTER * np.sqrt(np.sum(gain**2)) else simple
 
 
 def _left(fixed: NDArray, moving: NDArray, matrix: NDArray) -> NDArray[np.float64]:
     """Return what of two features is not alike in each tile, NaN where it is not known."""
-    left = np.abs(warped(_smooth(moving[0]), matrix) - _smooth(fixed[0]))
+    left = np.abs(warped(moving, matrix) - fixed)
     rows, columns = (max(side // min(_TILE_PX, max(side // _TILES, _LEAST_TILE_PX)), 1)
                      for side in left.shape)
     tall, wide = left.shape[0] // rows, left.shape[1] // columns
