@@ -67,6 +67,13 @@ def add_set_argument(parser: argparse.ArgumentParser, help_text: str) -> None:
     parser.add_argument('--set', metavar='KEY=VALUE', action='append', default=[], help=help_text)
 
 
+def add_output_argument(parser: argparse.ArgumentParser, files: str, folder: str) -> None:
+    """Add ``--output DIR`` for these files, in that folder unless told."""
+    parser.add_argument('--output', metavar='DIR', default=folder,
+                        help=f'folder for {files}, made when missing; files of an earlier run are '
+                        f'replaced (default: {folder})')
+
+
 def assignments(texts: Iterable[str]) -> dict[str, str]:
     """Return the keys and values of ``--set KEY=VALUE``."""
     values = {}

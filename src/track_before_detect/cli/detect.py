@@ -16,6 +16,7 @@ from track_before_detect.atomic_files import atomic_folder
 from track_before_detect.capabilities import check_options
 from track_before_detect.checks import checked_number
 from track_before_detect.cli.console import (
+    add_output_argument,
     add_set_argument,
     assignments,
     BAD_INPUT,
@@ -112,9 +113,7 @@ def add_input_arguments(parser: Any) -> None:
     parser.add_argument('--fps', metavar='RATE', type=float,
                         help='frames per second, in place of the stamps of the input; without '
                         'either, 1 frame is taken as 1 s')
-    parser.add_argument('--output', metavar='DIR', default='output',
-                        help='folder for the results, made when missing; files of an earlier run '
-                        'are replaced (default: output)')
+    add_output_argument(parser, 'the results', 'output')
 
 
 def run(arguments: Namespace) -> int:

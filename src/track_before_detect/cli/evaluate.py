@@ -7,6 +7,7 @@ import sys
 from typing import Any
 
 from track_before_detect.cli.console import (
+    add_output_argument,
     check_output_folder,
     FOUND,
     indented,
@@ -45,9 +46,7 @@ def add_parser(commands: Any) -> None:
                         help='recordings with truth, for the suite real')
     parser.add_argument('--seed', metavar='S', type=int, default=0,
                         help='the same seed gives the same recordings (default: 0)')
-    parser.add_argument('--output', metavar='DIR', default='evaluation',
-                        help='folder for the results, made when missing; files of an earlier '
-                        'run are replaced (default: evaluation)')
+    add_output_argument(parser, 'the results', 'evaluation')
     parser.add_argument('--jobs', metavar='N', type=int,
                         help='runs at a time (default: one per core with joblib, else one)')
     parser.add_argument('--backend', metavar='NAME', default='loky',

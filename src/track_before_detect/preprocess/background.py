@@ -58,10 +58,8 @@ def remove_temporal_median(frames: NDArray, maps: NDArray) -> NDArray:
 
     Parameters
     ----------
-    frames : array, shape (T, H, W)
-        Real frames, NaN where masked.
-    maps : array, shape (T, 3, 3)
-        Takes the registered plane to each frame.
+    frames, maps : arrays, shapes (T, H, W) and (T, 3, 3)
+        Real frames, NaN where masked, and what takes the registered plane to each of them.
 
     Returns
     -------

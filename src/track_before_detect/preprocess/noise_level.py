@@ -109,10 +109,8 @@ def scene_level(frames: NDArray, maps: NDArray, floor: float = 0.0) -> NDArray:
 
     Parameters
     ----------
-    frames : array, shape (T, H, W)
-        Real frames, NaN where masked.
-    maps : array, shape (T, 3, 3)
-        Takes the registered plane to each frame.
+    frames, maps : arrays, shapes (T, H, W) and (T, 3, 3)
+        Real frames, NaN where masked, and what takes the registered plane to each of them.
     floor : float, optional
         Least level, in the units of ``frames``.
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.pictures.fits import is_fits, open_fits_series
 from track_before_detect.recordings.pictures.pillow import read_pillow_image
+from track_before_detect.recordings.pictures.series import FileSeries
 from track_before_detect.recordings.pictures.tiff import read_tiff_image, TIFF_SUFFIXES
-from track_before_detect.recordings.recording import check_like, Recording
+from track_before_detect.recordings.recording import Recording
 
 IMAGE_SUFFIXES = ('.png', '.jpg', '.jpeg', '.bmp', *TIFF_SUFFIXES)
 _MASK_NAME = re.compile(r'(.+)[ ._-](mask|gt|label|seg|truth)s?')
@@ -33,7 +34,9 @@ def open_image_folder(path: Path) -> Recording:
             'a rosbag2')
     masks = _masks_among(files)
     files = [file for file in files if file not in masks]
-    source = _FolderSource(path, files)
+    source = FileSeries(
+        lambda index: read_image(files[index]),
+        lambda index: f'frame {index} of {path}, {files[index].name},', _like)
     first = source.read(0)
     recording = Recording(path.resolve().name, first.shape, first.dtype, len(files), source)
     if masks:
@@ -66,33 +69,11 @@ def _masks_among(files: list[Path]) -> set[Path]:
     return {file for file, match in named.items() if match is not None and match[1] in stems}
 
 
-class _FolderSource:
-    """Reads one file per frame."""
-
-    def __init__(self, folder: Path, files: list[Path]) -> None:
-        self._folder = folder
-        self._files = files
-        self._first: NDArray | None = None
-
-    def read(self, index: int) -> NDArray:
-        file = self._files[index]
-        frame = read_image(file)
-        if self._first is None:
-            self._first = frame
-        frame = _like(frame, self._first.dtype)
-        check_like(f'frame {index} of {self._folder}, {file.name},', frame, self._first.shape,
-                   self._first.dtype)
-        return frame
-
-    def close(self) -> None:
-        pass
-
-
-def _like(frame: NDArray, dtype: np.dtype) -> NDArray:
+def _like(frame: NDArray, first: NDArray) -> NDArray:
     """Return a frame in grey or colour of 8 bits as the type of the other, where it fits."""
-    if {frame.dtype, dtype} != {np.dtype(np.uint8), np.dtype(np.float32)}:
+    if {frame.dtype, first.dtype} != {np.dtype(np.uint8), np.dtype(np.float32)}:
         return frame
-    converted = np.rint(frame).astype(dtype)
+    converted = np.rint(frame).astype(first.dtype)
     # Luminance of equal channels is off by the rounding of its weights.
     return converted if np.allclose(converted, frame, rtol=1e-6) else frame
 

@@ -148,10 +148,8 @@ class DetectorNode(ManagedNode):
 
     Parameters
     ----------
-    name : str
-        Name of the node.
-    **settings
-        Of :class:`rclpy.node.Node`: context, namespace, parameter_overrides and so on.
+    name, **settings
+        As of :class:`ParameterizedNode`.
     """
 
     def __init__(self, name: str = 'detector', **settings: Any) -> None:

@@ -81,10 +81,8 @@ class FramePublisherNode(ParameterizedNode):
 
     Parameters
     ----------
-    name : str
-        Name of the node.
-    **settings
-        Of :class:`rclpy.node.Node`: context, namespace, parameter_overrides and so on.
+    name, **settings
+        As of :class:`ParameterizedNode`.
     """
 
     def __init__(self, name: str = 'frame_publisher', **settings: Any) -> None:

@@ -24,12 +24,8 @@ class ManagedNode(LifecycleNodeMixin, ParameterizedNode):
 
     Parameters
     ----------
-    name : str
-        Name of the node.
-    parameters : list of NodeParameter
-        What is declared.
-    **settings
-        Of :class:`rclpy.node.Node`.
+    name, parameters, **settings
+        As of :class:`ParameterizedNode`.
     """
 
     def __init__(self, name: str, parameters: list[NodeParameter], **settings: Any):

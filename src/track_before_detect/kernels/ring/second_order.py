@@ -2,10 +2,8 @@
 
 Layout of every array
 ---------------------
-frames : float32 (T, H, W)
-    Observations.
-merit : float32 (L, H, W)
-    Merit function; frame t is in plane t % L.
+frames, merit : as in the module ``first_order``
+    Frame t of the merit is in plane t % L.
 states : uint32 or uint64 (K + 1, H, W)
     Velocities that match the one chosen in each pixel, one bit for each value of v_x in the lower
     half and of v_y in the upper half; frame t is in plane t % K. A chosen velocity leaves the

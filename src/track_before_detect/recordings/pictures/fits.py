@@ -9,13 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError
+from track_before_detect.recordings.pictures.series import FileSeries
 from track_before_detect.recordings.read_errors import (
     closed_on_error,
     IMAGE_ERRORS,
     read_errors,
     reader_module,
 )
-from track_before_detect.recordings.recording import check_like, Recording
+from track_before_detect.recordings.recording import Recording
 
 FITS_SUFFIXES = ('.fits', '.fit', '.fts')
 # Compressed as a whole, or image by image.
@@ -74,7 +75,8 @@ def open_fits_series(folder: Path, files: list[Path]) -> Recording:
                 file.close()
     stamps = _stamps(headers)
     order = np.arange(len(files)) if stamps is None else np.argsort(stamps, kind='stable')
-    source = _SeriesSource([files[k] for k in order], [units[k] for k in order])
+    source = FileSeries(lambda index: _read_unit(files[order[index]], units[order[index]]),
+                        lambda index: f'frame {index}, {files[order[index]]},')
     first = source.read(0)
     return Recording(folder.resolve().name, first.shape, first.dtype, len(files), source,
                      None if stamps is None else stamps[order])
@@ -163,26 +165,11 @@ class _FitsSource:
         self._file.close()
 
 
-class _SeriesSource:
-    """Reads one file per frame."""
-
-    def __init__(self, files: list[Path], units: list[int]) -> None:
-        self._files = files
-        self._units = units
-        self._first: NDArray | None = None
-
-    def read(self, index: int) -> NDArray:
-        path = self._files[index]
-        file = _opened(path)
-        try:
-            with read_errors(f'{path} cannot be read', IMAGE_ERRORS):
-                frame = _plane(file[self._units[index]], 0)
-        finally:
-            file.close()
-        if self._first is None:
-            self._first = frame
-        check_like(f'frame {index}, {path},', frame, self._first.shape, self._first.dtype)
-        return frame
-
-    def close(self) -> None:
-        pass
+def _read_unit(path: Path, unit: int) -> NDArray:
+    """Return the image of one unit of a file."""
+    file = _opened(path)
+    try:
+        with read_errors(f'{path} cannot be read', IMAGE_ERRORS):
+            return _plane(file[unit], 0)
+    finally:
+        file.close()

@@ -25,6 +25,7 @@ from sensor_msgs.msg import PointCloud2
 
 from track_before_detect.checks import checked_number, checked_stamps
 from track_before_detect.cli.console import (
+    add_output_argument,
     add_set_argument,
     assignments,
     BAD_INPUT,
@@ -224,9 +225,8 @@ def _parser() -> Parser:
                         help='frames played per second; stamps stay those of the recording '
                         f'(default: as recorded, {AUTOMATIC_HZ:g} where that is not from '
                         f'{SLOWEST_HZ:g} to {FASTEST_HZ:g})')
-    parser.add_argument('--output', metavar='DIR', default='output',
-                        help='folder for overlay.png, trajectories.csv and the logs of the nodes '
-                        '(default: output)')
+    add_output_argument(
+        parser, 'overlay.png, trajectories.csv and the logs of the nodes', 'output')
     parser.add_argument('--executables', metavar='DIR',
                         help='folder with the executables detector and frame_publisher (default: '
                         "this Python's own modules)")

@@ -32,10 +32,8 @@ def run_detection(runs: int, seed: int, runner: Runner, **overrides: Any) -> Sui
 
     Parameters
     ----------
-    runs, seed, runner
-        As of :meth:`Suite.run`.
-    **overrides
-        Parameters of the scenarios to change.
+    runs, seed, runner, **overrides
+        As of :meth:`Suite.run`, and parameters of the scenarios to change.
     """
     for_targets, for_noise = np.random.SeedSequence(seed).spawn(2)
     scenario = simulate(TARGETS, 0, **overrides).scenario

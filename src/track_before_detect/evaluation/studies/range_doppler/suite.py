@@ -41,10 +41,8 @@ def run_range_doppler(runs: int, seed: int, runner: Runner, **overrides: Any) ->
 
     Parameters
     ----------
-    runs, seed, runner
-        As of :meth:`Suite.run`.
-    **overrides
-        Parameters of the scenario to change.
+    runs, seed, runner, **overrides
+        As of :meth:`Suite.run`, and parameters of the scenario to change.
     """
     scene = simulate('range_doppler', 0, **overrides).scenario
     shape = (scene.n_frames, scene.height, scene.width)
