@@ -7,6 +7,7 @@ from scipy import ndimage
 from track_before_detect.preprocess.whiteness import (
     autocorrelation,
     coloured_noise_factor,
+    differ_by_white_noise,
     matched_statistic,
 )
 
@@ -50,3 +51,22 @@ def test_matched_statistic_has_unit_noise_and_the_snr_of_a_target():
     assert np.isnan(seen[:, 80:]).all()
     away = matched_statistic(frame, 1.5)[:, :80]
     assert away.std() == pytest.approx(1, abs=0.1)
+
+
+def moving_scene(noise, step=1):
+    """Return frames of a smooth scene that moves by whole pixels, with white noise."""
+    rng = np.random.default_rng(11)
+    scene = 30 * ndimage.gaussian_filter(rng.normal(size=(96, 140)), 2, mode='wrap') / 0.14
+    return np.stack([scene[:, step * t:step * t + 96] for t in range(10)]) + noise * rng.normal(
+        size=(10, 96, 96))
+
+
+@pytest.mark.parametrize(('frames', 'white'), [
+    (moving_scene(0.0), False), (moving_scene(3.0), False), (moving_scene(40.0), True),
+    (np.rint(moving_scene(40.0)), True), (moving_scene(3.0, step=0), True),
+    (moving_scene(0.0, step=0), False),
+    (ndimage.gaussian_filter(moving_scene(40.0, step=0), (0, 0.6, 0.6)), False)])
+def test_what_changes_is_white_where_the_noise_of_pixels_outweighs_the_scene(frames, white):
+    assert differ_by_white_noise(frames) is white
+    frames[:, 10:14] = np.nan
+    assert differ_by_white_noise(frames) is white

@@ -72,6 +72,15 @@ def test_shaking_scene_is_registered_and_searched_on_the_image():
     assert any('px' in reason for reason in reasons)
 
 
+@pytest.mark.parametrize(('noise', 'width'), [(0.0, 1.5), (30.0, 1.0)])
+def test_targets_are_sharp_where_white_noise_is_what_hides_them(noise, width):
+    frames = scene(jitter=1.0)
+    frames += noise * np.random.default_rng(6).normal(size=frames.shape)
+    options, reasons = choose_options(AUTO, {}, frames)
+    assert options.psf_sigma_px == width
+    assert any('psf_sigma_px=1' in reason for reason in reasons) == (width == 1.0)
+
+
 @pytest.mark.parametrize('value', [0, np.nan, 7])
 @pytest.mark.parametrize('shape', [(20, 16, 16), (2, 8, 8), (1, 1, 50)])
 def test_blank_frames_are_no_error(value, shape):

@@ -9,6 +9,7 @@ from track_before_detect.preprocess.robust import robust_deviation
 
 _SIGNIFICANT = 3.0  # deviations by which noise must differ from white
 _FRAMES_USED = 8
+_WHITE = 0.1  # likeness of neighbouring pixels up to which noise counts as white
 
 
 def coloured_noise_factor(frames: NDArray, width_px: float) -> float:
@@ -38,6 +39,24 @@ def coloured_noise_factor(frames: NDArray, width_px: float) -> float:
     factor = robust_deviation(values)
     n_independent = max(values.size / (4 * np.pi * width_px ** 2), 1.0)
     return factor if factor > 1 + _SIGNIFICANT / np.sqrt(2 * n_independent) else 1.0
+
+
+def differ_by_white_noise(frames: NDArray) -> bool:
+    """Return whether what changes from frame to frame is noise, independent from pixel to pixel.
+
+    So it is where the noise of a sensor outweighs what compression and a moving scene change.
+
+    Parameters
+    ----------
+    frames : array, shape (T, H, W)
+        Real pixel values in any unit, NaN where masked.
+    """
+    changes = np.diff(frames[:_FRAMES_USED + 1].astype(np.float32), axis=0)
+    deviation = robust_deviation(changes)
+    if not deviation > 0:
+        return False
+    changes /= deviation
+    return all(autocorrelation(changes, axis, 1)[-1] < _WHITE for axis in (1, 2))
 
 
 def matched_statistic(frame: NDArray, width_px: float) -> NDArray:

@@ -19,7 +19,10 @@ from track_before_detect.preprocess.amplitude_scale import recognised_scale
 from track_before_detect.preprocess.prepare import frames_beyond
 from track_before_detect.preprocess.registration.registration import register
 from track_before_detect.preprocess.robust import robust_deviation
-from track_before_detect.preprocess.whiteness import coloured_noise_factor
+from track_before_detect.preprocess.whiteness import (
+    coloured_noise_factor,
+    differ_by_white_noise,
+)
 
 if TYPE_CHECKING:
     from track_before_detect.tracking.recording import FrameSequence
@@ -33,6 +36,8 @@ NEAR_UNIT = 0.05
 UNCORRELATED = 5.0
 # Deviations beyond which a pixel belongs to a target.
 STRONG = 4.0
+# Width of the PSF where white noise is what targets have to stand out from, px.
+SHARP_PX = 1.0
 
 _SCENE: Mapping[str, Any] = {
     'background': 'either', 'noise': 'local', 'calibration': 'clutter', 'amplitudes': 'signed',
@@ -141,6 +146,9 @@ def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
         words.append(f'the pixels are {scale} of complex noise: made nearly Gaussian')
     if len(frames) < 3:
         return {**chosen, 'background': 'spatial_median'}, words
+    if differ_by_white_noise(frames):
+        chosen['psf_sigma_px'] = SHARP_PX
+        words.append(f'the noise of neighbouring pixels is independent: psf_sigma_px={SHARP_PX:g}')
     registration = register(frames.astype(np.float32))
     if registration.credible.mean() <= 0.5:
         return chosen, [*words, 'nothing tells whether the camera moves: no registration']
