@@ -40,7 +40,7 @@ def declared(default: Any, description: str, *, kind: str, unit: str = '',
 class DetectorOptions:
     """Options of a detector, checked when made.
 
-    See :func:`describe` for the unit, range and meaning of each.
+    ``options.describe()`` returns the unit, range and meaning of each.
     """
 
     detector: str = declared(

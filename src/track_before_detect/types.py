@@ -198,7 +198,7 @@ class DetectionResult:
     threshold : float
         Value the statistic of a trajectory had to pass.
     status : str
-        One of :data:`STATUSES`; over several batches the one that is furthest down there.
+        One of ``types.STATUSES``; over several batches the one that is furthest down there.
     history : list of Step
         Progress of the solver, batch after batch.
     gap : float

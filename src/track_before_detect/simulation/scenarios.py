@@ -153,7 +153,7 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
     Parameters
     ----------
     name : str
-        One of :data:`SCENARIOS`.
+        One of those that ``tbd simulate --list`` names.
     seed : int
         Not negative.
     **overrides

@@ -23,7 +23,7 @@ def fit_paths(frames: NDArray, paths: NDArray, *, psf: ArrayLike | GaussianPsf |
               method: str = 'newton') -> FittedPaths:
     """Fit the amplitudes of given paths jointly.
 
-    Minimises, over the amplitudes x of the P paths,
+    Minimises, over the amplitudes x of the P paths, ::
 
         F_t(x) = 1/2 |y - A x|^2 + t lam sum_p |W_p x_p| + 1/2 (1 - t)^2 lam^2 n(x)
 
@@ -59,10 +59,10 @@ def fit_paths(frames: NDArray, paths: NDArray, *, psf: ArrayLike | GaussianPsf |
         Duality gap at which to stop, over the objective.
     weights : array, shape (T,) or (P, T), optional
         Diagonal of W: a lone path with matched filter statistic h has a norm above zero only if
-        |W^-1 h| passes t lam, and then x_k = h_k / (1 + t lam w_k^2 / |W x|) in frame k.
+        ``|W^-1 h|`` passes t lam, and then ``x_k = h_k / (1 + t lam w_k^2 / |W x|)``.
         The data are measured as without weights. The option ``variance`` of the detector, which
         has the same condition at t = 1, measures them by w^-2 as well: there x_k =
-        h_k (1 - t lam / |W^-1 h|), the same where all w_k are. Frames divided by w, and the
+        ``h_k (1 - t lam / |W^-1 h|)``, the same where all w_k are. Frames divided by w, and the
         amplitudes multiplied by it, give that here.
     method : str
         How the paths of the working set are solved: ``"newton"``, sweeps of path-wise descent and
