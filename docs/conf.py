@@ -5,9 +5,12 @@ the site and where the repository is browsed.
 """
 
 import json
+import os
 from pathlib import Path
 import re
 import shutil
+import subprocess
+import sys
 
 from docutils import nodes
 from latex2mathml.converter import convert
@@ -117,6 +120,7 @@ def fill_tables(app: Sphinx, name: str, source: list[str]) -> None:
     """Put tables between the marks of a page, which holds none itself."""
     source[0] = with_tables(source[0])
     for mark, table in (('<!-- studies -->', studies), ('<!-- bench -->', bench),
+                        ('<!-- commands -->', commands),
                         ('.. public names', public_names)):
         if mark in source[0]:
             source[0] = source[0].replace(mark, table())
@@ -127,6 +131,22 @@ def public_names() -> str:
     return '\n\n'.join(
         f'.. auto{"class" if isinstance(getattr(track_before_detect, name), type) else "function"}'
         f':: {name}' for name in track_before_detect.__all__)
+
+
+def commands() -> str:
+    """Return the help of ``tbd`` and of each of its commands."""
+    parts = [help_of()]
+    for name in re.findall(r'^    ([a-z][a-z-]+)  ', parts[0], re.MULTILINE):
+        parts += [f'## `tbd {name}`', help_of(name)]
+    return '\n\n'.join(part if part.startswith('#') else f'```text\n{part}\n```'
+                       for part in parts)
+
+
+def help_of(*words: str) -> str:
+    """Return what a command prints of itself."""
+    program = 'from track_before_detect.cli import main; main()'
+    return subprocess.run([sys.executable, '-c', program, *words, '--help'], capture_output=True,
+                          text=True, check=True, env={**os.environ, 'COLUMNS': '80'}).stdout
 
 
 def studies() -> str:

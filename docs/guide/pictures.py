@@ -4,10 +4,10 @@ Three recordings are simulated, and the commands that the page names are run on 
 """
 
 from pathlib import Path
+import shutil
 import tempfile
 
 import numpy as np
-from PIL import Image
 from scipy import ndimage
 
 from track_before_detect.cli import main
@@ -73,10 +73,7 @@ def make(folder: Path) -> None:
         words = command.replace(' ', f' {folder}/', 1).split()
         print(f'$ tbd {command}', flush=True)
         main([*words, '--output', str(folder / name)])
-        # The page shows them at half of this; a palette takes a third of the room.
-        picture = Image.open(folder / name / 'overlay.png').convert('RGB')
-        picture.thumbnail((960, 960))
-        picture.quantize(64, dither=Image.Dither.NONE).save(HERE / f'{name}.png', optimize=True)
+        shutil.copyfile(folder / name / 'overlay.png', HERE / f'{name}.png')
 
 
 if __name__ == '__main__':
