@@ -88,7 +88,7 @@ def _source(name: str) -> bytes | None:
     package, *parts = name.split('.')
     if package != PACKAGE or not parts:
         return None
-    file = resources.files(PACKAGE).joinpath(*parts[:-1], f'{parts[-1]}.py')
+    file = resources.files(PACKAGE).joinpath(f'{"/".join(parts)}.py')
     return file.read_bytes() if file.is_file() else None
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 import hashlib
 import math
-from typing import Self
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -22,6 +22,9 @@ from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.base import Frames, OverRows, Scores, SearchWork
 from track_before_detect.models.measurement.psf_scores import PsfScores
 from track_before_detect.models.motion.state_graph import StateGraph
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 
 LEAST_SIGMA_PX = 0.2
 # Samples of a Gaussian per standard deviation: a cubic spline through them is exact to 1e-7.

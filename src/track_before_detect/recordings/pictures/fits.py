@@ -137,7 +137,8 @@ def _plane(unit: Any, index: int) -> NDArray:
     # Read before: it is taken from the header of what is scaled.
     blank, zero = unit.header.get('BLANK'), unit.header.get('BZERO', 0)
     # Sections apply BSCALE and BZERO to what is read alone.
-    plane = np.asarray(unit.section[(*map(int, place), slice(None), slice(None))])
+    where = (*map(int, place), slice(None), slice(None))
+    plane = np.asarray(unit.section[where])
     plane = np.array(plane, plane.dtype.newbyteorder('='))
     if blank is not None and plane.dtype.kind in 'iu':
         # Of unsigned numbers the library leaves blank ones as they are.
