@@ -14,7 +14,8 @@ VERSION = re.search(r"^__version__ = '(.+)'$", (HERE / 'src' / PACKAGE / '__init
 EXTRAS = {
     'readers': ['pillow', 'tifffile', 'astropy', 'rosbags'],
     'plots': ['matplotlib'],
-    'video': ['av>=12'],
+    'video': ['av>=12', 'pillow>=10.1'],
+    'parquet': ['pyarrow'],
     'cli': ['tqdm', 'pyyaml'],
     # Studies on all cores, and on a cluster.
     'parallel': ['joblib>=1.4'],

@@ -3,7 +3,6 @@ import dataclasses
 import importlib.util
 import io
 import json
-import logging
 import math
 import os
 from pathlib import Path
@@ -11,68 +10,20 @@ import signal
 import subprocess
 import sys
 import time
-import types
 import zipfile
 
 import numpy as np
 import pytest
 
-from track_before_detect.cli import detect, main
+from track_before_detect.cli import main
 from track_before_detect.cli.console import Progress
 from track_before_detect.options import describe, DetectorOptions
 from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.results import folder as result_folder
 from track_before_detect.simulation.scenarios import SCENARIOS
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.types import DetectionResult, Trajectory
 
 CONFIG = Path(__file__).parents[2] / 'config' / 'detector.param.yaml'
-
-
-@pytest.fixture(autouse=True)
-def quiet_logging(monkeypatch):
-    """Keep the command from configuring the logging of the tests."""
-    monkeypatch.setattr(logging, 'basicConfig', lambda **_: None)
-
-
-@pytest.fixture
-def recording_file(tmp_path):
-    path = tmp_path / 'a.npz'
-    rng = np.random.default_rng(0)
-    truth = [[k, 0, 5 + k, 6] for k in range(6)]
-    np.savez(path, frames=rng.normal(size=(6, 16, 20)), fps=10, truth=truth)
-    return path
-
-
-@pytest.fixture
-def stand_in(monkeypatch):
-    """Replace the detector by one that reports what it was given; return the calls."""
-    calls = types.SimpleNamespace(options=None, trajectories=2, error=None, rejected=())
-
-    def detect_recording(recording, options, progress=None, reasons=()):
-        calls.options = options
-        progress('calibrating', 0.0)
-        progress('calibrating', 1.0)
-        for _ in range(2):
-            progress('calibrating', 1.0)
-            progress('searching', 0.5)
-        if calls.error is not None:
-            raise calls.error
-        n_frames = len(recording)
-        positions = np.column_stack([5.0 + np.arange(n_frames), np.full(n_frames, 6.0)])
-        positions[0] = np.nan
-        velocity = np.where(np.isnan(positions), np.nan, (10.0, 0.0))
-        found_as = Trajectory(1, positions, np.full(n_frames, 3.0), velocity, recording.stamps,
-                              np.arange(n_frames), 12.345, 3.2)
-        found = [dataclasses.replace(found_as, id=k + 1) for k in range(calls.trajectories)]
-        rejected = [dataclasses.replace(found_as, id=0, statistic=statistic, reason=reason)
-                    for statistic, reason in calls.rejected]
-        return DetectionResult(found, 8.5, gap=float('nan'), remarks=list(reasons),
-                               rejected=rejected)
-
-    module = types.ModuleType('track_before_detect.tracking.recording')
-    module.detect_recording = detect_recording
-    monkeypatch.setitem(sys.modules, module.__name__, module)
-    return calls
 
 
 def run(*arguments):
@@ -402,7 +353,7 @@ def test_what_stops_the_search_leaves_no_output(
 def test_signal_that_ends_the_run_while_it_writes_leaves_no_output(
         recording_file, stand_in, tmp_path, monkeypatch):
     output = tmp_path / 'out'
-    monkeypatch.setattr(detect, 'write_summary_json',
+    monkeypatch.setattr(result_folder, 'write_summary_json',
                         lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     before = signal.getsignal(signal.SIGTERM)
     try:
@@ -421,7 +372,7 @@ def test_failure_while_writing_keeps_the_results_of_the_run_before(
     def disk_full(*_):
         raise OSError(28, 'No space left on device')
 
-    monkeypatch.setattr(detect, 'write_summary_json', disk_full)
+    monkeypatch.setattr(result_folder, 'write_summary_json', disk_full)
     stand_in.trajectories = 1
     assert run('detect', recording_file, '--output', output) == 2
     assert {file.name: file.read_bytes() for file in output.iterdir()} == before

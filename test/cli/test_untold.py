@@ -1,7 +1,6 @@
 """Without any option, recordings of the kinds that people have are searched as they should be."""
 
 import csv
-import logging
 
 import numpy as np
 import pytest
@@ -14,12 +13,6 @@ VARIANTS = (
     Variant(seed=102, shape=(128, 64), fps=9, snr=6, level=12000, gain=60),
     Variant(seed=103, shape=(96, 80), fps=50, snr=4.5, level=900, gain=7),
 )
-
-
-@pytest.fixture(autouse=True)
-def quiet_logging(monkeypatch):
-    """Keep the command from configuring the logging of the tests."""
-    monkeypatch.setattr(logging, 'basicConfig', lambda **_: None)
 
 
 def found_in(folder, recording):

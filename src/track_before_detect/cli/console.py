@@ -14,7 +14,7 @@ from typing import Any, NoReturn, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import MissingExtraError, ParameterError
 from track_before_detect.options import range_words
 from track_before_detect.types import Count, Trajectory
 
@@ -102,6 +102,13 @@ def check_output_file(output: Path, suffix: str) -> None:
         raise ParameterError(f'--output must end with {suffix}, got {output}')
     if not output.parent.is_dir():
         raise ParameterError(f'folder {output.parent} of --output does not exist')
+
+
+def require_extra(package: str, extra: str, what: str, otherwise: str = '') -> None:
+    """Refuse before the work what could not be done after it for want of a package."""
+    if importlib.util.find_spec(package) is None:
+        raise MissingExtraError(f"{what} needs {package}: pip install "
+                                f"'track_before_detect[{extra}]'{otherwise}")
 
 
 def table(rows: Iterable[Sequence[str]]) -> str:

@@ -3,16 +3,14 @@
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 import dataclasses
-import importlib.util
 from pathlib import Path
 import sys
 import time
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
 from track_before_detect import __version__
-from track_before_detect.atomic_files import atomic_folder
 from track_before_detect.capabilities import check_options
 from track_before_detect.checks import checked_number
 from track_before_detect.cli.console import (
@@ -32,6 +30,7 @@ from track_before_detect.cli.console import (
     trajectory_cells,
     TRAJECTORY_HEADER,
 )
+from track_before_detect.cli.result_arguments import add_result_arguments, wanted_files
 from track_before_detect.errors import DataError, MissingExtraError, TbdError
 from track_before_detect.options import (
     describe,
@@ -42,10 +41,10 @@ from track_before_detect.options import (
 )
 from track_before_detect.parallel import map_in_threads
 from track_before_detect.recordings.open_recording import expand_inputs, open_recording
-from track_before_detect.recordings.overlay import write_overlay
 from track_before_detect.recordings.recording import Recording
-from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
-from track_before_detect.timestamps import increasing_frames
+from track_before_detect.results.folder import summary_of, Wanted, write_folder
+from track_before_detect.results.found import Found
+from track_before_detect.results.json_lines import json_lines
 from track_before_detect.types import DetectionResult, STATUSES, Trajectory
 
 # Rejected candidates that are printed, and those below the threshold that are told of.
@@ -62,6 +61,9 @@ examples:
   a folder of images taken at 25 frames per second, and many recordings at once:
     tbd detect frames/ --fps 25
     tbd detect 'flights/*.mp4' night.npz --output results
+  a film of it, and what other programs read:
+    tbd detect flight.mp4 --video overlay.mp4 --formats mot,coco
+    tbd detect flight.mp4 --json - | jq .properties.snr
   one topic of a bag, with options from a file:
     tbd detect my_bag/ --topic /camera/image_raw --config detector.yaml
 
@@ -78,13 +80,13 @@ def add_parser(commands: Any) -> None:
         '  trajectories.csv  one row per trajectory and frame\n'
         '  summary.json      options, threshold, counts\n'
         '  overlay.png       the trajectories over the middle frame, and over time\n'
-        '  rejected.csv      with --explain: the candidates that are none, each with its reason')
+        '  rejected.csv      with --explain: the candidates that are none, each with its reason\n'
+        'and what --formats and --video ask for.')
     parser.set_defaults(run=run)
     add_input_arguments(parser)
     parser.add_argument('--explain', action='store_true',
                         help='list candidates that were rejected, and why (calibration=clutter)')
-    parser.add_argument('--no-overlay', action='store_true',
-                        help='do not draw overlay.png (no matplotlib needed)')
+    add_result_arguments(parser)
     parser.add_argument(
         '--list-options', action=PrintAndExit,
         text=lambda: '\n'.join(option_lines(option, 'auto') for option in describe()),
@@ -120,32 +122,34 @@ def run(arguments: Namespace) -> int:
     """Search the recordings, print what was found and write the files; return the exit code."""
     told = told_options(arguments)
     check_output_folder(Path(arguments.output))
-    if not arguments.no_overlay:
-        require_matplotlib('overlay.png', ', or give --no-overlay')
+    wanted = wanted_files(arguments)
     paths = expand_inputs(arguments.inputs)
+    # Where lines of JSON are asked for, other programs read what is printed.
+    words = sys.stderr if arguments.json else sys.stdout
     if len(paths) > 1:
-        return _search_all(paths, arguments, told)
-    result, text, written = _search(paths[0], Path(arguments.output), arguments, told)
-    print(text)
-    print(f'written: {", ".join(map(str, written))}')
+        return _search_all(paths, arguments, told, wanted, words)
+    result, text, written = _search(paths[0], Path(arguments.output), arguments, told, wanted)
+    print(text, file=words)
+    print(f'written: {", ".join(map(str, written))}', file=words)
     return FOUND if result.trajectories else NOTHING_FOUND
 
 
-def _search_all(paths: Sequence[Path], arguments: Namespace, told: Mapping[str, Any]) -> int:
+def _search_all(paths: Sequence[Path], arguments: Namespace, told: Mapping[str, Any],
+                wanted: Wanted, words: TextIO) -> int:
     """Search each recording into a folder of its own, whatever becomes of the others."""
     codes = set()
     for path, name in zip(paths, _names(paths), strict=True):
         output = Path(arguments.output) / name
         try:
-            result, _, _ = _search(path, output, arguments, told)
+            result, _, _ = _search(path, output, arguments, told, wanted)
         except (TbdError, OSError, MemoryError) as error:
-            words = error_words(error)
-            codes.add(fail('tbd', words if path.name in words else f'{path}: {words}'))
+            said = error_words(error)
+            codes.add(fail('tbd', said if path.name in said else f'{path}: {said}'))
             continue
         count = len(result.trajectories)
         found = 'no trajectory' if not count else '1 trajectory' if count == 1 else (
             f'{count} trajectories')
-        print(f'{path}: {found}, written: {output}', flush=True)
+        print(f'{path}: {found}, written: {output}', flush=True, file=words)
         codes.add(FOUND if count else NOTHING_FOUND)
     return next(code for code in (BAD_INPUT, FOUND, NOTHING_FOUND) if code in codes)
 
@@ -161,29 +165,25 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, Any],
-            ) -> tuple[DetectionResult, str, list[Path]]:
+            wanted: Wanted) -> tuple[DetectionResult, str, list[Path]]:
     """Search one recording and write the files; return what was found, also as text."""
     started = time.perf_counter()
     with open_recording(path, arguments.topic, arguments.fps) as recording:
         result, options = search(recording, arguments.preset, told)
-        seconds = time.perf_counter() - started
-        summary = _summary(recording, options, result, seconds)
+        found = Found(recording, options, result)
+        summary = summary_of(found, time.perf_counter() - started, __version__)
         rejected = numbered(result) if arguments.explain else None
-        written = _write_results(output, recording, result, summary, not arguments.no_overlay,
-                                 rejected)
+        with Progress(sys.stderr) as progress:
+            written = write_folder(output, found, summary, wanted, rejected, progress)
+        if arguments.json:
+            sys.stdout.writelines(json_lines(found))
+            sys.stdout.flush()
         words = [_table(result.trajectories, recording.stamps_known), *_closing_words(result)]
         if rejected is not None:
             words.append(_explanation(rejected, result))
         elif n_above(result) or (result.rejected and not result.trajectories):
             words.append(_hint(result))
         return result, '\n'.join(words), written
-
-
-def require_matplotlib(what: str, otherwise: str = '') -> None:
-    """Refuse before the work what could not be drawn after it."""
-    if importlib.util.find_spec('matplotlib') is None:
-        raise MissingExtraError(f"{what} needs matplotlib: pip install "
-                                f"'track_before_detect[plots]'{otherwise}")
 
 
 def search(recording: Recording, preset: str, told: Mapping[str, Any],
@@ -275,47 +275,6 @@ def _options_among_parameters(path: Path, parameters: Mapping[Any, Any]) -> dict
               f'{", ".join(others)}', file=sys.stderr)
     return {name: None if optional[name] and is_neutral(value) else value
             for name, value in parameters.items() if name in optional}
-
-
-def _summary(recording: Recording, options: DetectorOptions, result: DetectionResult,
-             seconds: float) -> dict[str, Any]:
-    interval = np.diff(recording.stamps[increasing_frames(recording.stamps)])
-    return {
-        'input': recording.name,
-        'n_frames': len(recording),
-        'n_batches': result.n_batches,
-        'height_px': recording.shape[0],
-        'width_px': recording.shape[1],
-        'stamps_known': recording.stamps_known,
-        'median_interval_s': float(np.median(interval)) if len(interval) else None,
-        'detector': options.detector,
-        'options': dataclasses.asdict(options),
-        'status': result.status,
-        'remarks': result.remarks,
-        'threshold': result.threshold,
-        'best_statistic': result.best_statistic,
-        'gap': result.gap,
-        'n_trajectories': len(result.trajectories),
-        'seconds': round(seconds, 3),
-        'version': __version__,
-    }
-
-
-def _write_results(output: Path, recording: Recording, result: DetectionResult,
-                   summary: dict[str, Any], overlay: bool,
-                   rejected: list[Trajectory] | None) -> list[Path]:
-    """Write all files aside, then move them to their place together."""
-    with atomic_folder(output) as aside:
-        write_trajectories_csv(aside / 'trajectories.csv', result.trajectories)
-        if rejected is not None:
-            write_trajectories_csv(aside / 'rejected.csv', rejected, with_reason=True)
-        if overlay:
-            middle = len(recording) // 2
-            write_overlay(aside / 'overlay.png', recording[middle], result.trajectories,
-                          recording.truth, f'{recording.name}, frame {middle}', middle)
-        write_summary_json(aside / 'summary.json', summary)
-        names = sorted(file.name for file in aside.iterdir())
-    return [output / name for name in names]
 
 
 def _closing_words(result: DetectionResult) -> list[str]:

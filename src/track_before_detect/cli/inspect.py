@@ -12,6 +12,7 @@ from track_before_detect.cli.console import (
     check_output_folder,
     FOUND,
     Progress,
+    require_extra,
     trajectory_cells,
     TRAJECTORY_HEADER,
 )
@@ -19,7 +20,6 @@ from track_before_detect.cli.detect import (
     add_input_arguments,
     n_above,
     numbered,
-    require_matplotlib,
     search,
     told_options,
 )
@@ -46,7 +46,7 @@ def run(arguments: Namespace) -> int:
     told = told_options(arguments)
     output = Path(arguments.output)
     check_output_folder(output)
-    require_matplotlib('tbd inspect')
+    require_extra('matplotlib', 'plots', 'tbd inspect')
     if len(paths := expand_inputs(arguments.inputs)) > 1:
         raise DataError(f'tbd inspect takes one input, got {len(paths)}')
     with open_recording(paths[0], arguments.topic, arguments.fps) as recording:

@@ -62,18 +62,22 @@ def render_overlay(frame: NDArray, trajectories: Sequence[Trajectory]) -> NDArra
         Red, green, blue.
     """
     image = real_picture(frame)
-    low, high = contrast_limits(image)
-    grey = image - image.dtype.type(low)
-    grey *= image.dtype.type(255.0 / (high - low))
-    # The order of these bounds turns NaN into black.
-    np.fmin(np.fmax(grey, 0.0, out=grey), 255.0, out=grey)
-    picture = np.repeat(grey.astype(np.uint8)[..., None], 3, axis=2)
+    picture = np.repeat(grey_picture(image, *contrast_limits(image))[..., None], 3, axis=2)
     for trajectory in trajectories:
         points = _line_pixels(_present(trajectory))
         inside = ((points >= 0) & (points < (image.shape[1], image.shape[0]))).all(axis=1)
         columns, rows = points[inside].T
         picture[rows, columns] = colour_of(trajectory.id)
     return picture
+
+
+def grey_picture(image: NDArray, low: float, high: float) -> NDArray[np.uint8]:
+    """Return a real image (H, W) as greys, 0 at ``low`` and below, 255 at ``high`` and above."""
+    grey = image - image.dtype.type(low)
+    grey *= image.dtype.type(255.0 / (high - low))
+    # The order of these bounds turns NaN into black.
+    np.fmin(np.fmax(grey, 0.0, out=grey), 255.0, out=grey)
+    return grey.astype(np.uint8)
 
 
 def write_overlay(path: str | os.PathLike, image: NDArray, trajectories: Sequence[Trajectory],

@@ -1,6 +1,6 @@
 """What a search leaves: trajectories as CSV, its summary as JSON, each whole or not at all."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 import csv
 import json
 import math
@@ -12,8 +12,26 @@ import numpy as np
 from track_before_detect.atomic_files import atomic_path
 from track_before_detect.types import Trajectory
 
-CSV_COLUMNS = ('trajectory_id', 'frame', 'stamp_s', 'x_px', 'y_px', 'vx_px_s', 'vy_px_s',
-               'amplitude', 'snr', 'statistic', 'var_x_px2', 'cov_xy_px2', 'var_y_px2')
+# How each number of a row is written as text.
+_COLUMNS = {'trajectory_id': 'd', 'frame': 'd', 'stamp_s': '.6f', 'x_px': '.3f', 'y_px': '.3f',
+            'vx_px_s': '.4f', 'vy_px_s': '.4f', 'amplitude': '.6g', 'snr': '.6g',
+            'statistic': '.6g', 'var_x_px2': '.6g', 'cov_xy_px2': '.6g', 'var_y_px2': '.6g'}
+CSV_COLUMNS = tuple(_COLUMNS)
+
+
+def presences(trajectories: Iterable[Trajectory]) -> Iterator[tuple[Trajectory, int]]:
+    """Yield each trajectory with each of its rows in which it is present."""
+    for trajectory in trajectories:
+        for k in np.flatnonzero(np.isfinite(trajectory.positions).all(axis=1)):
+            yield trajectory, int(k)
+
+
+def row_of(trajectory: Trajectory, k: int) -> tuple[float, ...]:
+    """Return the numbers of a row, in the order of the columns; NaN where not known."""
+    return (int(trajectory.id), int(trajectory.frame_indices[k]), float(trajectory.stamps[k]),
+            *map(float, trajectory.positions[k]), *map(float, trajectory.velocity[k]),
+            float(abs(trajectory.amplitudes[k])), trajectory.snr, trajectory.statistic,
+            *map(float, trajectory.covariance[k][np.triu_indices(2)]))
 
 
 def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Trajectory],
@@ -35,17 +53,11 @@ def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Traje
     with atomic_path(path) as partial, open(partial, 'w', newline='', encoding='utf-8') as file:
         writer = csv.writer(file, lineterminator='\n')
         writer.writerow(CSV_COLUMNS + ('reason',) * with_reason)
-        for trajectory in trajectories:
-            for k in np.flatnonzero(np.isfinite(trajectory.positions).all(axis=1)):
-                writer.writerow([
-                    int(trajectory.id), int(trajectory.frame_indices[k]),
-                    f'{trajectory.stamps[k]:.6f}',
-                    *(_fixed(value, 3) for value in trajectory.positions[k]),
-                    *(_fixed(value, 4) for value in trajectory.velocity[k]),
-                    _significant(abs(trajectory.amplitudes[k])),
-                    _significant(trajectory.snr), _significant(trajectory.statistic),
-                    *map(_significant, trajectory.covariance[k][np.triu_indices(2)]),
-                    *[trajectory.reason] * with_reason])
+        for trajectory, k in presences(trajectories):
+            writer.writerow([
+                *(f'{value:{form}}' if math.isfinite(value) else ''
+                  for value, form in zip(row_of(trajectory, k), _COLUMNS.values(), strict=True)),
+                *[trajectory.reason] * with_reason])
 
 
 def write_summary_json(path: str | os.PathLike, mapping: Mapping[str, Any]) -> None:
@@ -57,29 +69,21 @@ def write_summary_json(path: str | os.PathLike, mapping: Mapping[str, Any]) -> N
     mapping : mapping
         Values may be nested and may be NumPy scalars and arrays.
     """
-    text = json.dumps(_plain(mapping), indent=2, allow_nan=False, ensure_ascii=False)
+    text = json.dumps(plain(mapping), indent=2, allow_nan=False, ensure_ascii=False)
     with atomic_path(path) as partial:
         partial.write_text(text + '\n', encoding='utf-8')
 
 
-def _fixed(value: float, digits: int) -> str:
-    return f'{value:.{digits}f}' if math.isfinite(value) else ''
-
-
-def _significant(value: float) -> str:
-    return f'{value:.6g}' if math.isfinite(value) else ''
-
-
-def _plain(value: Any) -> Any:
-    """Return ``value`` in types JSON knows."""
+def plain(value: Any) -> Any:
+    """Return ``value`` in types JSON knows; numbers that are not finite become None."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
+        return plain(value.tolist())
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, np.generic):
-        return _plain(value.item())
+        return plain(value.item())
     if isinstance(value, float):
         return value if math.isfinite(value) else None
     if value is None or isinstance(value, (str, bool, int)):

@@ -1,0 +1,1 @@
+"""What a search leaves behind: the files of a result, for people and for other programs."""

@@ -1,0 +1,82 @@
+"""The folder of a result: all of its files, written aside and moved to their place together."""
+
+from collections.abc import Sequence
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from track_before_detect.atomic_files import atomic_folder
+from track_before_detect.recordings.overlay import write_overlay
+from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
+from track_before_detect.results.film import write_film
+from track_before_detect.results.formats import Format
+from track_before_detect.results.found import Found
+from track_before_detect.timestamps import increasing_frames
+from track_before_detect.types import Progress, Trajectory
+
+
+@dataclasses.dataclass(frozen=True)
+class Wanted:
+    """Which files there shall be, beside the summary.
+
+    Attributes
+    ----------
+    formats : tuple of Format
+        Of the trajectories.
+    overlay : bool
+        Whether to draw overlay.png.
+    film : str, optional
+        Name of a film to make, .mp4 or .gif.
+    """
+
+    formats: tuple[Format, ...]
+    overlay: bool = True
+    film: str | None = None
+
+
+def write_folder(output: Path, found: Found, summary: dict[str, Any], wanted: Wanted,
+                 rejected: Sequence[Trajectory] | None = None,
+                 progress: Progress | None = None) -> list[Path]:
+    """Write the files and return their paths; ``rejected`` goes to rejected.csv, if not None."""
+    recording, result = found.recording, found.result
+    with atomic_folder(output) as aside:
+        for one in wanted.formats:
+            one.write(aside / one.file, found)
+        if rejected is not None:
+            write_trajectories_csv(aside / 'rejected.csv', rejected, with_reason=True)
+        if wanted.overlay:
+            middle = len(recording) // 2
+            write_overlay(aside / 'overlay.png', recording[middle], result.trajectories,
+                          recording.truth, f'{recording.name}, frame {middle}', middle)
+        if wanted.film is not None:
+            write_film(aside / wanted.film, recording, result.trajectories, progress)
+        write_summary_json(aside / 'summary.json', summary)
+        names = sorted(file.name for file in aside.iterdir())
+    return [output / name for name in names]
+
+
+def summary_of(found: Found, seconds: float, version: str) -> dict[str, Any]:
+    """Return what summary.json says of a search that took so many seconds."""
+    recording, options, result = found.recording, found.options, found.result
+    interval = np.diff(recording.stamps[increasing_frames(recording.stamps)])
+    return {
+        'input': recording.name,
+        'n_frames': len(recording),
+        'n_batches': result.n_batches,
+        'height_px': recording.shape[0],
+        'width_px': recording.shape[1],
+        'stamps_known': recording.stamps_known,
+        'median_interval_s': float(np.median(interval)) if len(interval) else None,
+        'detector': options.detector,
+        'options': dataclasses.asdict(options),
+        'status': result.status,
+        'remarks': result.remarks,
+        'threshold': result.threshold,
+        'best_statistic': result.best_statistic,
+        'gap': result.gap,
+        'n_trajectories': len(result.trajectories),
+        'seconds': round(seconds, 3),
+        'version': version,
+    }

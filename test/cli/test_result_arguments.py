@@ -1,0 +1,61 @@
+"""``tbd detect --formats``, ``--json`` and ``--video``."""
+
+import json
+import os
+
+import numpy as np
+import pytest
+
+from track_before_detect.cli import main
+
+
+def detect(*arguments):
+    return main(['detect', '--preset', 'none', '--no-overlay', *map(str, arguments)])
+
+
+def test_lines_of_json_are_all_that_is_printed(recording_file, stand_in, tmp_path, capsys):
+    assert detect(recording_file, '--json', '-', '--output', tmp_path / 'out') == 0
+    captured = capsys.readouterr()
+    features = [json.loads(line) for line in captured.out.splitlines()]
+    assert [feature['id'] for feature in features] == [1, 2]
+    assert features[0]['geometry']['coordinates'][0] == [6.0, 6.0]
+    assert features[0]['properties']['frames'] == [1, 2, 3, 4, 5]
+    # Words for people are not lost, and files are written as always.
+    assert '12.35' in captured.err and 'written: ' in captured.err
+    assert sorted(os.listdir(tmp_path / 'out')) == ['summary.json', 'trajectories.csv']
+
+
+def test_lines_of_several_recordings_name_theirs(stand_in, tmp_path, capsys):
+    for name in 'ab':
+        np.savez(tmp_path / f'{name}.npz', frames=np.zeros((6, 16, 20)))
+    assert detect(tmp_path / '?.npz', '--json', '-', '--output', tmp_path / 'out') == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [json.loads(line)['properties']['input'] for line in lines] == [
+        'a.npz', 'a.npz', 'b.npz', 'b.npz']
+
+
+def test_nothing_found_prints_no_line(recording_file, stand_in, tmp_path, capsys):
+    stand_in.trajectories = 0
+    assert detect(recording_file, '--json', '-', '--output', tmp_path / 'out') == 3
+    assert capsys.readouterr().out == ''
+
+
+def test_files_that_are_asked_for_are_written_together(recording_file, stand_in, tmp_path):
+    pytest.importorskip('PIL', reason='the extra [video] is missing')
+    assert detect(recording_file, '--formats', 'mot,coco,json', '--video', 'a.gif',
+                  '--output', tmp_path / 'out') == 0
+    assert sorted(os.listdir(tmp_path / 'out')) == [
+        'a.gif', 'coco.json', 'mot.txt', 'summary.json', 'trajectories.csv', 'trajectories.jsonl']
+    assert len((tmp_path / 'out' / 'mot.txt').read_text().splitlines()) == 2 * 5
+
+
+@pytest.mark.parametrize(('arguments', 'fragments'), [
+    (['--formats', 'cocoa'], ["unknown format 'cocoa'", 'did you mean coco']),
+    (['--json', 'a.jsonl'], ["got 'a.jsonl'", '--formats json']),
+    (['--video', 'x/a.mp4'], ['.mp4 or .gif', "'x/a.mp4'"])])
+def test_what_cannot_be_written_is_refused_before_the_search(
+        recording_file, stand_in, tmp_path, capsys, arguments, fragments):
+    assert detect(recording_file, *arguments, '--output', tmp_path / 'out') == 2
+    error = capsys.readouterr().err
+    assert all(fragment in error for fragment in fragments)
+    assert stand_in.options is None and not (tmp_path / 'out').exists()
