@@ -17,6 +17,7 @@ EXTRAS = {
     'video': ['av>=12', 'pillow>=10.1'],
     'parquet': ['pyarrow'],
     'cli': ['tqdm', 'pyyaml'],
+    'completion': ['shtab'],
     # Studies on all cores, and on a cluster.
     'parallel': ['joblib>=1.4'],
     'dask': ['joblib>=1.4', 'distributed'],

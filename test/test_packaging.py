@@ -48,10 +48,11 @@ ALLOWED = {
     'evaluation': BASICS | {'__init__', 'kernels', 'models', 'option_models', 'preprocess',
                             'recordings', 'simulation', 'solvers', 'tracking'},
     'inspection': BASICS | {'preprocess', 'recordings', 'solvers', 'tracking'},
-    'cli': BASICS | {'__init__', 'detection', 'evaluation', 'inspection', 'option_models',
-                     'recordings', 'results', 'simulation', 'tracking'},
+    'cli': BASICS | {'__init__', 'detection', 'evaluation', 'inspection', 'kernels',
+                     'option_models', 'option_tables', 'recordings', 'results', 'simulation',
+                     'tracking'},
     'option_tables': {'options', 'capabilities'},
-    'ros': BASICS | {'__init__', 'cli', 'recordings', 'simulation', 'tracking'},
+    'ros': BASICS | {'__init__', 'cli', 'option_tables', 'recordings', 'simulation', 'tracking'},
 }
 # The same within a room, for its folders and for files that lie beside them. What is not listed
 # here, such as the files at the top of the solvers, binds the others together.

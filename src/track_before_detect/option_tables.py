@@ -4,10 +4,11 @@
 capability was added or changed.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 import re
 import sys
+import textwrap
 from typing import Any
 
 from track_before_detect.capabilities import (
@@ -61,6 +62,35 @@ def combinations() -> str:
     lines += [f'- {names} {when}: no effect ({reason}).'
               for names, when, _, reason in _merged(WITHOUT_EFFECT)]
     return '\n'.join(lines)
+
+
+def yaml_entry(option: Mapping[str, Any], indent: str, mark: str = '',
+               more_facts: Iterable[str] = ()) -> list[str]:
+    """Return the lines of an option in a YAML file, with its default and its meaning as comment.
+
+    Parameters
+    ----------
+    option : mapping
+        An entry of ``describe``, or a parameter of a node with the same names.
+    indent, mark : str
+        What each line begins with, and what its value is commented out by.
+    more_facts : iterable of str
+        Told after unit and range.
+    """
+    facts = [*([option['unit']] if option['unit'] else []), *range_words(option), *more_facts]
+    text = f'{option["description"]} [{"; ".join(facts)}]' if facts else option['description']
+    return [*textwrap.wrap(text, 91 + len(indent), initial_indent=f'{indent}# ',
+                           subsequent_indent=f'{indent}# '),
+            f'{indent}{mark}{option["name"]}: {_yaml(option["default"])}']
+
+
+def _yaml(value: Any) -> str:
+    if isinstance(value, str):
+        return f"'{value}'"
+    if isinstance(value, (list, tuple)):
+        return f'[{", ".join(map(_yaml, value))}]'
+    return {True: 'true', False: 'false', None: 'null'}[value] if (
+        value is None or isinstance(value, bool)) else repr(value)
 
 
 TABLES = {table.__name__: table for table in (parameters, detectors, capabilities, combinations)}

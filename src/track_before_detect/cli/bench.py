@@ -2,7 +2,6 @@
 
 from argparse import Namespace
 from pathlib import Path
-import sys
 from typing import Any
 
 from track_before_detect.cli.console import check_output_file, FOUND, Progress
@@ -47,7 +46,7 @@ def run(arguments: Namespace) -> int:
     bench = bench_named(arguments.bench)
     output = Path(arguments.output)
     check_output_file(output, '.json')
-    with Progress(sys.stderr) as progress:
+    with Progress.asked_for(arguments) as progress:
         measured = bench.measure(arguments.repeats, arguments.large, progress)
     write_summary_json(output, measured)
     print(bench.table(measured))

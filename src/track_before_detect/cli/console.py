@@ -74,6 +74,15 @@ def add_output_argument(parser: argparse.ArgumentParser, files: str, folder: str
                         f'replaced (default: {folder})')
 
 
+def add_loudness(parser: argparse.ArgumentParser) -> None:
+    """Add how much is said beside the result."""
+    either = parser.add_mutually_exclusive_group()
+    either.add_argument('--quiet', '-q', action='store_true',
+                        help='say nothing beside the result but warnings and errors')
+    either.add_argument('--verbose', '-v', action='store_true',
+                        help='say how far each step is, and of errors where they come from')
+
+
 def assignments(texts: Iterable[str]) -> dict[str, str]:
     """Return the keys and values of ``--set KEY=VALUE``."""
     values = {}
@@ -156,10 +165,24 @@ def indented(text: str) -> str:
 
 
 class Progress:
-    """Shows progress: a bar on a terminal, otherwise one line per task, or for ``every`` loop."""
+    """Shows progress: a bar on a terminal, otherwise one line per task.
 
-    def __init__(self, stream: TextIO, every: bool = False):
+    Parameters
+    ----------
+    stream : text stream
+    every : bool
+        Whether a line tells of every loop that is compiled.
+    in_tenths : bool
+        Whether a line tells of every tenth of a task.
+    silent : bool
+        Whether nothing is shown.
+    """
+
+    def __init__(self, stream: TextIO, every: bool = False, in_tenths: bool = False,
+                 silent: bool = False):
         self._stream = stream
+        self._in_tenths = in_tenths
+        self._silent = silent
         self._label = ''
         self._announced: set[str] = set()
         self._every = every
@@ -178,9 +201,13 @@ class Progress:
     def __call__(self, label: str, done: float) -> None:
         """Show that the share ``done`` (0..1) of the task ``label`` is done."""
         words = f'{label}: {done}' if isinstance(done, Count) else label
+        if self._silent:
+            return
+        if self._in_tenths and words == label:
+            words = f'{label}: {int(10 * done)}0 %'
         if self._new_bar is None:
             # Every batch may go through the same tasks again.
-            told = words if self._every else label
+            told = words if self._every or self._in_tenths else label
             if told not in self._announced:
                 print(f'tbd: {words}', file=self._stream, flush=True)
                 self._announced.add(told)
@@ -193,6 +220,11 @@ class Progress:
                 bar_format='{desc}: {percentage:3.0f} %|{bar}| {elapsed}')
         self._bar.set_description_str(words, refresh=False)
         self._bar.update(min(max(done, 0.0), 1.0) - self._bar.n)
+
+    @classmethod
+    def asked_for(cls, arguments: argparse.Namespace, every: bool = False) -> Progress:
+        """Return one that says as much on the stream of errors as the arguments ask for."""
+        return cls(sys.stderr, every, in_tenths=arguments.verbose, silent=arguments.quiet)
 
     def show_time(self) -> None:
         """Show that time goes on, where nothing else can be told of a task."""

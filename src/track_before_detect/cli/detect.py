@@ -13,6 +13,7 @@ import numpy as np
 from track_before_detect import __version__
 from track_before_detect.capabilities import check_options
 from track_before_detect.checks import checked_number
+from track_before_detect.cli.arguments.results import add_result_arguments, wanted_files
 from track_before_detect.cli.console import (
     add_output_argument,
     add_set_argument,
@@ -30,7 +31,6 @@ from track_before_detect.cli.console import (
     trajectory_cells,
     TRAJECTORY_HEADER,
 )
-from track_before_detect.cli.result_arguments import add_result_arguments, wanted_files
 from track_before_detect.errors import DataError, MissingExtraError, TbdError
 from track_before_detect.options import (
     describe,
@@ -169,11 +169,11 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
     """Search one recording and write the files; return what was found, also as text."""
     started = time.perf_counter()
     with open_recording(path, arguments.topic, arguments.fps) as recording:
-        result, options = search(recording, arguments.preset, told)
+        result, options = search(recording, arguments, told)
         found = Found(recording, options, result)
         summary = summary_of(found, time.perf_counter() - started, __version__)
         rejected = numbered(result) if arguments.explain else None
-        with Progress(sys.stderr) as progress:
+        with Progress.asked_for(arguments) as progress:
             written = write_folder(output, found, summary, wanted, rejected, progress)
         if arguments.json:
             sys.stdout.writelines(json_lines(found))
@@ -186,7 +186,7 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
         return result, '\n'.join(words), written
 
 
-def search(recording: Recording, preset: str, told: Mapping[str, Any],
+def search(recording: Recording, arguments: Namespace, told: Mapping[str, Any],
            **observe: Any) -> tuple[DetectionResult, DetectorOptions]:
     """Search a recording with the options of a preset; errors name it."""
     if len(recording) < 2:
@@ -199,12 +199,12 @@ def search(recording: Recording, preset: str, told: Mapping[str, Any],
 
     check_batch_size(recording.name, recording.shape, len(recording),
                      DetectorOptions.from_mapping(told).batch_length)
-    options, reasons = choose_for(recording, preset, told)
-    for reason in reasons:
-        print(f'preset {preset}: {reason}', file=sys.stderr)
+    options, reasons = choose_for(recording, arguments.preset, told)
+    for reason in reasons if not arguments.quiet else ():
+        print(f'preset {arguments.preset}: {reason}', file=sys.stderr)
     if options.batch_length is None:
         options = options.replace(batch_length=length_of(len(recording)))
-    with Progress(sys.stderr) as progress:
+    with Progress.asked_for(arguments) as progress:
         try:
             # In a thread of its own, which an interrupt does not wait for.
             [result] = map_in_threads(

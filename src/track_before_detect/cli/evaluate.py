@@ -3,7 +3,6 @@
 from argparse import Namespace
 from pathlib import Path
 import shlex
-import sys
 from typing import Any
 
 from track_before_detect.cli.console import (
@@ -78,7 +77,7 @@ def run(arguments: Namespace) -> int:
     data = [] if arguments.data is None else [f'--data={arguments.data}']
     command = shlex.join(['tbd', 'evaluate', arguments.suite, *data, '--runs', str(runs),
                           '--seed', str(arguments.seed), '--output', arguments.output])
-    with Progress(sys.stderr) as progress:
+    with Progress.asked_for(arguments) as progress:
         result = suite.run(runs, arguments.seed, Runner(
             progress, workers, KeptResults(output / 'runs.jsonl')), arguments.data)
     written = write_suite_result(output, arguments.suite, result, command)

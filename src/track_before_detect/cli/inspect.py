@@ -4,7 +4,6 @@ from argparse import Namespace
 from collections.abc import Mapping, Sequence
 import dataclasses
 from pathlib import Path
-import sys
 from typing import Any
 
 from track_before_detect.atomic_files import atomic_folder
@@ -57,14 +56,14 @@ def run(arguments: Namespace) -> int:
         from track_before_detect.option_models import psf_of
 
         observed = Observation(len(recording) // 2)
-        result, _ = search(recording, arguments.preset, told, observe=observed)
+        result, _ = search(recording, arguments, told, observe=observed)
         observed.add_motion_of_the_scene()
         rejected = numbered(result)
         wrong = findings(observed, result, len(recording))
         drawn = panels(observed, result.trajectories, rejected,
                        psf_of(observed.options).width_px)
         images = []
-        with Progress(sys.stderr) as progress:
+        with Progress.asked_for(arguments) as progress:
             for done, panel in enumerate(drawn):
                 progress('drawing', done / len(drawn))
                 images.append((panel.name, panel.caption, png([panel], 1)))

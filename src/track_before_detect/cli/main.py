@@ -10,8 +10,19 @@ import threading
 from typing import NoReturn
 
 from track_before_detect import __version__
-from track_before_detect.cli import bench, detect, evaluate, inspect, simulate, warm_up
+from track_before_detect.cli import (
+    bench,
+    config,
+    detect,
+    doctor,
+    evaluate,
+    inspect,
+    simulate,
+    warm_up,
+)
+from track_before_detect.cli.arguments.completion import PrintCompletion, SHELLS
 from track_before_detect.cli.console import (
+    add_loudness,
     BAD_INPUT,
     error_words,
     fail,
@@ -28,6 +39,9 @@ try it:
   tbd simulate eo_ir_drones --seed 1 --output drones.npz
   tbd detect drones.npz --output drones
 
+completion in bash, now and later (needs the extra completion):
+  eval "$(tbd --print-completion bash)"
+
 exit codes:
   0  done and something found (or nothing to find)
   2  an input or option cannot be used; one sentence on stderr says why (of several inputs, the
@@ -36,6 +50,8 @@ exit codes:
   130  interrupted with Ctrl-C
   143  ended by the signal TERM
 """
+_LOG = logging.getLogger(__name__)
+_OURS = logging.getLogger(__name__.partition('.')[0])
 
 
 class _Terminated(SystemExit):
@@ -45,18 +61,23 @@ class _Terminated(SystemExit):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command and return its exit code."""
     logging.basicConfig(format='tbd: %(levelname)s: %(message)s', level=logging.WARNING)
-    # We say how much memory a search is going to take, and whoever called goes on as before.
-    ours = logging.getLogger(__name__.partition('.')[0])
-    level = ours.level
-    ours.setLevel(logging.INFO)
+    # Whoever called goes on as before.
+    level = _OURS.level
     _prepare_output()
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _terminate)
     try:
+        return _ended(arguments)
+    finally:
+        _OURS.setLevel(level)
+
+
+def _ended(arguments: Sequence[str] | None) -> int:
+    """Run the command and return its exit code, in whichever way it ends."""
+    try:
         try:
             return _run(arguments)
         finally:
-            ours.setLevel(level)
             sys.stdout.flush()
     except BrokenPipeError:
         # The reader of our output, such as head, has seen enough; closing must not fail again.
@@ -68,6 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except _Terminated:
         return _leave(TERMINATED)
     except (TbdError, OSError, MemoryError) as error:
+        _LOG.debug('where it comes from:', exc_info=error)
         return fail('tbd', error_words(error))
 
 
@@ -101,10 +123,18 @@ def _run(arguments: Sequence[str] | None) -> int:
     parser.add_argument('--version', action='version', version=f'tbd {__version__}')
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title='commands', metavar='COMMAND')
-    for command in (detect, inspect, simulate, evaluate, bench, warm_up):
+    for command in (detect, inspect, simulate, evaluate, bench, warm_up, config, doctor):
         command.add_parser(commands)
+    parser.add_argument('--print-completion', metavar='SHELL', action=PrintCompletion,
+                        choices=SHELLS, help='print what lets a shell complete commands and '
+                        f'options: {", ".join(SHELLS)}')
+    for command_parser in commands.choices.values():
+        add_loudness(command_parser)
     options = parser.parse_args(arguments)
     if options.run is None:
         parser.print_help()
         return BAD_INPUT
+    # We say how much memory a search is going to take.
+    _OURS.setLevel(logging.DEBUG if options.verbose else
+                   logging.WARNING if options.quiet else logging.INFO)
     return options.run(options)

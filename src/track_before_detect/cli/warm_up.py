@@ -1,7 +1,6 @@
 """``tbd warm-up``: compile the loops ahead, for all later commands and nodes."""
 
 from argparse import Namespace
-import sys
 import time
 from typing import Any
 
@@ -45,7 +44,7 @@ def run(arguments: Namespace) -> int:
     from track_before_detect.tracking.pipeline import TrackingPipeline
 
     started = time.perf_counter()
-    with Progress(sys.stderr, every=True) as progress:
+    with Progress.asked_for(arguments, every=True) as progress:
 
         def compile_all(searches: tuple[dict[str, Any], ...]) -> None:
             for search in searches:

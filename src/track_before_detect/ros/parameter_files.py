@@ -8,15 +8,11 @@ from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 import sys
-import textwrap
-from typing import Any
 
-from track_before_detect.options import range_words
+from track_before_detect.option_tables import yaml_entry
 from track_before_detect.ros import detector_node, frame_publisher_node
 from track_before_detect.ros.parameters import NodeParameter
 from track_before_detect.tracking.presets import NONE, PRESETS
-
-WIDTH = 95
 
 DETECTOR_HEADER = """\
 # Parameters of the node detector, each with its default.
@@ -61,11 +57,8 @@ def parameter_file(header: str, parameters: Iterable[NodeParameter],
     """
     lines = [header + '/**:\n  ros__parameters:']
     for parameter in parameters:
-        lines.append('')
-        lines += textwrap.wrap(_explanation(parameter), WIDTH, initial_indent='    # ',
-                               subsequent_indent='    # ')
         mark = '#' if open_to_preset and parameter.is_option else ''
-        lines.append(f'    {mark}{parameter.name}: {_yaml(parameter.default)}')
+        lines += ['', *yaml_entry(vars(parameter), '    ', mark, _facts(parameter))]
     return '\n'.join(lines) + '\n'
 
 
@@ -77,23 +70,13 @@ def _preset_file(name: str) -> str:
         for parameter in detector_node.PARAMETERS if parameter.name in values])
 
 
-def _explanation(parameter: NodeParameter) -> str:
-    facts = [*([parameter.unit] if parameter.unit else []), *range_words(vars(parameter))]
+def _facts(parameter: NodeParameter) -> list[str]:
+    facts = []
     if parameter.optional:
         facts.append('empty is none' if parameter.kind == 'array' else '0 is automatic')
     if parameter.live:
         facts.append('live')
-    return f'{parameter.description} [{"; ".join(facts)}]' if facts else parameter.description
-
-
-def _yaml(value: Any) -> str:
-    if isinstance(value, bool):
-        return 'true' if value else 'false'
-    if isinstance(value, str):
-        return f"'{value}'"
-    if isinstance(value, list):
-        return f'[{", ".join(_yaml(item) for item in value)}]'
-    return repr(value)
+    return facts
 
 
 FILES = {

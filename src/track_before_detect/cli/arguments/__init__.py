@@ -1,0 +1,1 @@
+"""Arguments that are more than a line of a parser."""
