@@ -50,7 +50,7 @@ ALLOWED = {
     'inspection': BASICS | {'preprocess', 'recordings', 'solvers', 'tracking'},
     'cli': BASICS | {'__init__', 'detection', 'evaluation', 'inspection', 'kernels',
                      'option_models', 'option_tables', 'recordings', 'results', 'simulation',
-                     'tracking'},
+                     'solvers', 'tracking'},
     'option_tables': {'options', 'capabilities'},
     'ros': BASICS | {'__init__', 'cli', 'option_tables', 'recordings', 'simulation', 'tracking'},
 }

@@ -67,7 +67,8 @@ def add_set_argument(parser: argparse.ArgumentParser, help_text: str) -> None:
     parser.add_argument('--set', metavar='KEY=VALUE', action='append', default=[], help=help_text)
 
 
-def add_output_argument(parser: argparse.ArgumentParser, files: str, folder: str) -> None:
+def add_output_argument(parser: argparse.ArgumentParser, files: str = 'the results',
+                        folder: str = 'output') -> None:
     """Add ``--output DIR`` for these files, in that folder unless told."""
     parser.add_argument('--output', metavar='DIR', default=folder,
                         help=f'folder for {files}, made when missing; files of an earlier run are '

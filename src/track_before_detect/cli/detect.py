@@ -84,6 +84,7 @@ def add_parser(commands: Any) -> None:
         'and what --formats and --video ask for.')
     parser.set_defaults(run=run)
     add_input_arguments(parser)
+    add_output_argument(parser)
     parser.add_argument('--explain', action='store_true',
                         help='list candidates that were rejected, and why (calibration=clutter)')
     add_result_arguments(parser)
@@ -94,7 +95,7 @@ def add_parser(commands: Any) -> None:
 
 
 def add_input_arguments(parser: Any) -> None:
-    """Add what is searched, with which options, and where the results go."""
+    """Add what is searched, and with which options."""
     parser.add_argument(
         'inputs', metavar='INPUT', nargs='+',
         help="recordings, or patterns such as '*.npz': .npz (array frames (T, H, W); optional "
@@ -115,7 +116,6 @@ def add_input_arguments(parser: Any) -> None:
     parser.add_argument('--fps', metavar='RATE', type=float,
                         help='frames per second, in place of the stamps of the input; without '
                         'either, 1 frame is taken as 1 s')
-    add_output_argument(parser, 'the results', 'output')
 
 
 def run(arguments: Namespace) -> int:
@@ -189,21 +189,9 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
 def search(recording: Recording, arguments: Namespace, told: Mapping[str, Any],
            **observe: Any) -> tuple[DetectionResult, DetectorOptions]:
     """Search a recording with the options of a preset; errors name it."""
-    if len(recording) < 2:
-        raise DataError(
-            f'{recording.name} must hold at least 2 frames to show a motion, got 1')
-    # Compiled loops take a second to load; errors of the input need not wait for them.
-    from track_before_detect.tracking.batcher import check_batch_size, length_of
-    from track_before_detect.tracking.presets import choose_for
+    options, reasons = chosen_options(recording, arguments, told)
     from track_before_detect.tracking.recording import detect_recording
 
-    check_batch_size(recording.name, recording.shape, len(recording),
-                     DetectorOptions.from_mapping(told).batch_length)
-    options, reasons = choose_for(recording, arguments.preset, told)
-    for reason in reasons if not arguments.quiet else ():
-        print(f'preset {arguments.preset}: {reason}', file=sys.stderr)
-    if options.batch_length is None:
-        options = options.replace(batch_length=length_of(len(recording)))
     with Progress.asked_for(arguments) as progress:
         try:
             # In a thread of its own, which an interrupt does not wait for.
@@ -214,6 +202,29 @@ def search(recording: Recording, arguments: Namespace, told: Mapping[str, Any],
         except DataError as error:
             raise DataError(f'{recording.name} cannot be searched: {error}') from error
     return result, options
+
+
+def chosen_options(recording: Recording, arguments: Namespace, told: Mapping[str, Any],
+                   ) -> tuple[DetectorOptions, list[str]]:
+    """Return the options of the preset with those that are told, and the reasons, which are said.
+
+    Refuses recordings that are too short or too large before they are read.
+    """
+    if len(recording) < 2:
+        raise DataError(
+            f'{recording.name} must hold at least 2 frames to show a motion, got 1')
+    # Compiled loops take a second to load; errors of the input need not wait for them.
+    from track_before_detect.tracking.batcher import check_batch_size, length_of
+    from track_before_detect.tracking.presets import choose_for
+
+    check_batch_size(recording.name, recording.shape, len(recording),
+                     DetectorOptions.from_mapping(told).batch_length)
+    options, reasons = choose_for(recording, arguments.preset, told)
+    for reason in reasons if not arguments.quiet else ():
+        print(f'preset {arguments.preset}: {reason}', file=sys.stderr)
+    if options.batch_length is None:
+        options = options.replace(batch_length=length_of(len(recording)))
+    return options, reasons
 
 
 def told_options(arguments: Namespace) -> dict[str, Any]:

@@ -45,7 +45,7 @@ def add_parser(commands: Any) -> None:
                         help='recordings with truth, for the suite real')
     parser.add_argument('--seed', metavar='S', type=int, default=0,
                         help='the same seed gives the same recordings (default: 0)')
-    add_output_argument(parser, 'the results', 'evaluation')
+    add_output_argument(parser, folder='evaluation')
     parser.add_argument('--jobs', metavar='N', type=int,
                         help='runs at a time (default: one per core with joblib, else one)')
     parser.add_argument('--backend', metavar='NAME', default='loky',

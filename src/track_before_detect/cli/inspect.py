@@ -8,6 +8,7 @@ from typing import Any
 
 from track_before_detect.atomic_files import atomic_folder
 from track_before_detect.cli.console import (
+    add_output_argument,
     check_output_folder,
     FOUND,
     Progress,
@@ -38,6 +39,7 @@ def add_parser(commands: Any) -> None:
         '  inspect.png   its pictures')
     parser.set_defaults(run=run)
     add_input_arguments(parser)
+    add_output_argument(parser)
 
 
 def run(arguments: Namespace) -> int:

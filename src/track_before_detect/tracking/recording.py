@@ -85,6 +85,21 @@ def batches(recording: FrameSequence, parts: Sequence[NDArray[np.int64]],
             yield _batch(held, stamps)
 
 
+def length_and_hop(n_frames: int, options: DetectorOptions) -> tuple[int, int]:
+    """Return the frames of a batch of a recording, and from one batch to the next."""
+    length = min(options.batch_length or n_frames, n_frames)
+    return length, min(options.hop or hop_of(length), length)
+
+
+def parts_of(stamps: NDArray[np.float64],
+             length: int) -> tuple[list[NDArray[np.int64]], list[str]]:
+    """Return the numbers of the frames between pauses, and what there is to say of the stamps."""
+    increasing = increasing_frames(stamps)
+    if len(increasing) < min(2, len(stamps)):
+        raise DataError(f'stamps must increase, got {len(stamps)} that do not')
+    return pieces(stamps, length * median_interval(stamps[increasing]))
+
+
 def _batch(held: Iterable[tuple[int, NDArray]], stamps: NDArray[np.float64]) -> FrameBatch:
     indices = np.array([index for index, _ in held])
     return FrameBatch(np.stack([frame for _, frame in held]), stamps[indices], indices)
@@ -119,16 +134,12 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         it is absent; the threshold is the largest of any batch.
     """
     n_frames = len(recording)
-    length = min(options.batch_length or n_frames, n_frames)
-    hop = min(options.hop or hop_of(length), length)
+    length, hop = length_and_hop(n_frames, options)
     stamps = np.asarray(recording.stamps, float)
     repeated = RepeatedFrames()
     pipeline = pipeline or TrackingPipeline(options, observe=observe)
     if not pipeline.stamps_may_repeat:
-        increasing = increasing_frames(stamps)
-        if len(increasing) < min(2, n_frames):
-            raise DataError(f'stamps must increase, got {n_frames} that do not')
-        parts, remarks = pieces(stamps, length * median_interval(stamps[increasing]))
+        parts, remarks = parts_of(stamps, length)
         cut = batches(recording, parts, stamps, length, hop, repeated.repeats)
     else:
         remarks = []

@@ -225,8 +225,7 @@ def _parser() -> Parser:
                         help='frames played per second; stamps stay those of the recording '
                         f'(default: as recorded, {AUTOMATIC_HZ:g} where that is not from '
                         f'{SLOWEST_HZ:g} to {FASTEST_HZ:g})')
-    add_output_argument(
-        parser, 'overlay.png, trajectories.csv and the logs of the nodes', 'output')
+    add_output_argument(parser, 'overlay.png, trajectories.csv and the logs of the nodes')
     parser.add_argument('--executables', metavar='DIR',
                         help='folder with the executables detector and frame_publisher (default: '
                         "this Python's own modules)")
