@@ -16,6 +16,8 @@ EXTRAS = {
     'plots': ['matplotlib'],
     'video': ['av>=12', 'pillow>=10.1'],
     'parquet': ['pyarrow'],
+    # About 170 MB to load, 500 MB on disk.
+    'view': ['rerun-sdk>=0.22'],
     'cli': ['tqdm', 'pyyaml'],
     'completion': ['shtab'],
     # Studies on all cores, and on a cluster.

@@ -19,6 +19,7 @@ from track_before_detect.cli import (
     inspect,
     plan,
     simulate,
+    view,
     warm_up,
 )
 from track_before_detect.cli.arguments.completion import PrintCompletion, SHELLS
@@ -124,7 +125,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     parser.add_argument('--version', action='version', version=f'tbd {__version__}')
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title='commands', metavar='COMMAND')
-    for command in (detect, plan, inspect, simulate, evaluate, bench, warm_up, config, doctor):
+    for command in (
+            detect, plan, view, inspect, simulate, evaluate, bench, warm_up, config, doctor):
         command.add_parser(commands)
     parser.add_argument('--print-completion', metavar='SHELL', action=PrintCompletion,
                         choices=SHELLS, help='print what lets a shell complete commands and '

@@ -18,9 +18,9 @@ from track_before_detect.recordings.open_recording import expand_inputs, open_re
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.timestamps import increasing_frames, median_interval
 
-# Larger frames are tried on two squares in their middle instead, of which the cost goes on as a
-# straight line over the number of pixels.
-_MOST_PIXELS = 512**2
+# Larger frames of few batches are tried on squares in their middle instead: time goes on in
+# proportion to the pixels of the larger one, memory as a straight line through both.
+_MOST_PIXELS, _MANY_BATCHES = 512**2, 12
 _SIDES_PX = (256, 512)
 # The first batch begins with no paths, and what its frames cost is not kept for it.
 _BATCHES_TRIED = 3
@@ -101,26 +101,21 @@ def _plan(recording: Recording, options: DetectorOptions, source: tuple[Path, An
         # Smaller frames would have to be calibrated once more.
         options = options.replace(threshold=threshold)
     height, width = recording.shape
-    sides = _SIDES_PX if height * width > _MOST_PIXELS else (max(height, width),)
+    n_batches = _n_batches(recording, parts, length, hop)
+    in_part = height * width > _MOST_PIXELS and n_batches < _MANY_BATCHES
+    sides = _SIDES_PX if in_part else (max(height, width),)
     n_pixels, costs = [], []
     for done, side in enumerate(sides):
         progress('trying', done / len(sides))
         n_pixels.append(min(side, height) * min(side, width))
         costs.append(in_own_process(_tried, source, options, side))
-    start, first, later, at_most = (
-        np.maximum(_extended(n_pixels, np.array(cost), height * width), 0)
-        for cost in zip(*costs, strict=True))
-    n_batches = _n_batches(recording, parts, length, hop)
+    start, first, later, memory = costs[-1]
+    first, later = (one * (height * width / n_pixels[-1]) for one in (first, later))
+    if len(sides) > 1:
+        memory += (memory - costs[0][-1]) * (height * width - n_pixels[-1]) / (
+            n_pixels[-1] - n_pixels[0])
     seconds, cpu_seconds = start + first + (n_batches - 1) * later
-    return Plan(n_batches, float(seconds), float(cpu_seconds), float(at_most[0]))
-
-
-def _extended(n_pixels: list[int], costs: NDArray[np.float64], wanted: int,
-              ) -> NDArray[np.float64]:
-    """Return the costs (K, ...) of so many pixels each, at as many as are wanted."""
-    if len(n_pixels) == 1:
-        return costs[0]
-    return costs[0] + (costs[1] - costs[0]) * (wanted - n_pixels[0]) / (n_pixels[1] - n_pixels[0])
+    return Plan(n_batches, float(seconds), float(cpu_seconds), memory)
 
 
 def _cut(recording: Recording, options: DetectorOptions,
@@ -164,7 +159,7 @@ def _clocks() -> NDArray[np.float64]:
 
 
 def _tried(source: tuple[Path, Any, Any], options: DetectorOptions, side: int,
-           ) -> tuple[NDArray[np.float64], ...]:
+           ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
     """Search a few batches in the middle; return times (wall, CPU) and memory.
 
     Until the loops are loaded, of the first batch, and of each later one; then the largest memory.
@@ -196,4 +191,4 @@ def _tried(source: tuple[Path, Any, Any], options: DetectorOptions, side: int,
     # What was spent before this was called is start-up, too.
     start = marks[0] - began + began[1] * np.array([1, 1])
     later = times[1:].mean(axis=0) if len(times) > 1 else times[0]
-    return start, times[0], later, np.full(2, float(peak_memory()))
+    return start, times[0], later, float(peak_memory())

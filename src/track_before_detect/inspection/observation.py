@@ -146,6 +146,13 @@ class Observation:
             self._motion[int(batch.frame_indices[k])] = at[k] - at[k - 1], sure
 
 
+def strongest(result: BatchResult) -> float:
+    """Return the largest statistic of any path of a batch over the threshold; NaN without one."""
+    statistics = [one.statistic / result.threshold for one in (*result.found, *result.rejected)]
+    on_residual = [1 + step.violation for step in result.history if np.isfinite(step.violation)]
+    return max([*statistics, *on_residual], default=float('nan'))
+
+
 def _facts(prepared: PreparedBatch, result: BatchResult) -> BatchFacts:
     frames = prepared.frames
     few = frames[::max(1, round(frames.size / N_SAMPLES))]
@@ -154,12 +161,10 @@ def _facts(prepared: PreparedBatch, result: BatchResult) -> BatchFacts:
     parts = np.concatenate([finite.real, finite.imag]) * 2**0.5 if np.iscomplexobj(
         finite) else finite
     levels = prepared.noise_level[np.isfinite(prepared.noise_level)]
-    statistics = [one.statistic / result.threshold for one in (*result.found, *result.rejected)]
-    on_residual = [1 + step.violation for step in result.history if np.isfinite(step.violation)]
     across = [autocorrelation(few, axis, MOST_LAGS) for axis in (1, 2)]
     shared = min(map(len, across))
     return BatchFacts(
-        prepared.frame_indices, max([*statistics, *on_residual], default=float('nan')),
+        prepared.frame_indices, strongest(result),
         float(np.median(levels)) if len(levels) else float('nan'), robust_deviation(parts),
         float(np.median(parts)) if len(parts) else float('nan'),
         np.mean([one[:shared] for one in across], axis=0),

@@ -235,6 +235,28 @@ def _present(trajectory: Trajectory) -> NDArray[np.float64]:
     return positions[np.isfinite(positions).all(axis=1)]
 
 
+def trail(trajectory: Trajectory, index: int, length: int) -> tuple[NDArray[np.float64], bool]:
+    """Return where a trajectory was in the last frames up to ``index``, and whether it is there.
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+    index : int
+        Number of a frame in the recording.
+    length : int
+        Frames that are looked at.
+
+    Returns
+    -------
+    tuple of array, shape (N, 2), and bool
+        Positions where it is present, and whether the last one is in frame ``index``.
+    """
+    first, last = np.searchsorted(trajectory.frame_indices, (index - length + 1, index + 1))
+    present = np.flatnonzero(np.isfinite(trajectory.positions[first:last]).all(axis=1))
+    is_there = len(present) > 0 and trajectory.frame_indices[first + present[-1]] == index
+    return trajectory.positions[first + present], bool(is_there)
+
+
 def _line_pixels(points: NDArray) -> NDArray[np.int64]:
     """Return whole pixels (column, row) on the straight lines between points."""
     if len(points) < 2:

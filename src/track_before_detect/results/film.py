@@ -15,6 +15,7 @@ from track_before_detect.recordings.overlay import (
     contrast_limits,
     grey_picture,
     real_picture,
+    trail,
 )
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.timestamps import increasing_frames
@@ -62,8 +63,9 @@ def write_film(path: Path, recording: Recording, trajectories: list[Trajectory],
     write(path, pictures, interval)
 
 
-def _pictures(recording: Recording, trajectories: list[Trajectory], trail: int) -> Iterator[Any]:
-    """Yield each frame as a picture of Pillow with what was found in the last ``trail`` frames."""
+def _pictures(recording: Recording, trajectories: list[Trajectory],
+              length: int) -> Iterator[Any]:
+    """Yield each frame as a picture of Pillow, with what was found in the last frames."""
     try:
         from PIL import Image, ImageDraw, ImageFont
     except ImportError as error:
@@ -81,22 +83,21 @@ def _pictures(recording: Recording, trajectories: list[Trajectory], trail: int) 
         picture = picture.resize((picture.width * factor, picture.height * factor), 0)
         drawing = ImageDraw.Draw(picture)
         for trajectory in trajectories:
-            _draw(drawing, trajectory, index, trail, factor, font)
+            _draw(drawing, trajectory, index, length, factor, font)
         yield picture
 
 
-def _draw(drawing: Any, trajectory: Trajectory, index: int, trail: int, factor: int,
+def _draw(drawing: Any, trajectory: Trajectory, index: int, length: int, factor: int,
           font: Any) -> None:
     """Draw the trail of a trajectory, and where it is in frame ``index`` a ring and a label."""
-    first, last = np.searchsorted(trajectory.frame_indices, (index - trail + 1, index + 1))
-    points = (trajectory.positions[first:last] + 0.5) * factor - 0.5
-    present = np.flatnonzero(np.isfinite(points).all(axis=1))
-    if not len(present):
+    positions, is_there = trail(trajectory, index, length)
+    if not len(positions):
         return
+    points = (positions + 0.5) * factor - 0.5
     colour = colour_of(trajectory.id)
-    drawing.line([*map(tuple, points[present])], fill=colour, width=2)
-    if trajectory.frame_indices[first + present[-1]] == index:
-        x, y = points[present[-1]]
+    drawing.line([*map(tuple, points)], fill=colour, width=2)
+    if is_there:
+        x, y = points[-1]
         drawing.ellipse((x - 9, y - 9, x + 9, y + 9), outline=colour, width=2)
         drawing.text((x + 11, y - 18), f'{trajectory.id}  {trajectory.snr:.1f}', fill=colour,
                      font=font, stroke_width=1, stroke_fill='black')

@@ -1,0 +1,123 @@
+"""A search on rerun, which fills in while it runs: frames, what is searched, what is found."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.inspection.observation import strongest
+from track_before_detect.option_models import psf_of
+from track_before_detect.preprocess.whiteness import matched_statistic
+from track_before_detect.recordings.overlay import (
+    colour_of,
+    contrast_limits,
+    grey_picture,
+    real_picture,
+    trail,
+)
+from track_before_detect.recordings.recording import Recording
+from track_before_detect.tracking.pipeline import Searched
+from track_before_detect.types import DetectionResult
+
+# Black and white of what is searched, in deviations of the noise.
+_SHOWN_DEVIATIONS = (-3.0, 8.0)
+# Frames of a trajectory that are seen behind it.
+_TRAIL = 25
+
+
+class LiveView:
+    """Shows the batches of a search as they come, and at its end the trajectories.
+
+    Parameters
+    ----------
+    recording : Recording
+        What is searched; its times begin with its first frame.
+    stream : rerun.RecordingStream
+        Where it is shown.
+    """
+
+    def __init__(self, recording: Recording, stream: Any):
+        self._recording = recording
+        self._stream = stream
+        self._shown: set[tuple[str, int]] = set()
+        self._begun = float(np.nanmin(recording.stamps))
+        self._backgrounds: list[str] = []
+
+    def __call__(self, searched: Searched) -> None:
+        """Show the frames of a batch that were in none before, and how it ended."""
+        batch, prepared, result = searched.batch, searched.prepared, searched.result
+        background, width_px = searched.background, psf_of(searched.options).width_px
+        if background not in self._backgrounds:
+            self._backgrounds.append(background)
+            self._stream.send_blueprint(_blueprint(self._backgrounds))
+        for k, number in enumerate(prepared.frame_indices.tolist()):
+            self._set_frame(number)
+            if self._is_new('frame', number):
+                self._show_frame(number)
+            if self._is_new(background, number):
+                residual = real_picture(prepared.frames[k])
+                matched = real_picture(matched_statistic(prepared.frames[k], width_px))
+                for name, image in (('residual', residual), ('matched_filter', matched)):
+                    self._show(f'{name}/{background}',
+                               grey_picture(image, *_SHOWN_DEVIATIONS))
+        self._set_frame(int(batch.frame_indices[-1]))
+        for name, value in (('threshold', result.threshold),
+                            ('strongest_path', result.threshold * strongest(result))):
+            if np.isfinite(value):
+                self._stream.log(f'statistic/{background}/{name}', _rerun().Scalars(value))
+
+    def show_result(self, result: DetectionResult) -> None:
+        """Show where each trajectory is in each frame, and where it came from."""
+        rerun = _rerun()
+        for number in range(len(self._recording)):
+            trails = [(one, *trail(one, number, _TRAIL)) for one in result.trajectories]
+            here = [(one, points[-1] + 0.5) for one, points, is_here in trails if is_here]
+            # Pixel centres are whole numbers here, and half a pixel further there.
+            lines = [(one, points + 0.5) for one, points, _ in trails if len(points) > 1]
+            self._set_frame(number)
+            self._stream.log('frame/trajectories', rerun.Points2D(
+                np.reshape([point for _, point in here], (-1, 2)), radii=2.0,
+                colors=[colour_of(one.id) for one, _ in here],
+                labels=[f'{one.id}  {one.snr:.1f}' for one, _ in here]))
+            self._stream.log('frame/trails', rerun.LineStrips2D(
+                [points for _, points in lines], colors=[colour_of(one.id) for one, _ in lines]))
+
+    def _show_frame(self, number: int) -> None:
+        frame = real_picture(self._recording[number])
+        self._show('frame', grey_picture(frame, *contrast_limits(frame)))
+        truth = self._recording.truth
+        if truth is not None:
+            self._stream.log('frame/truth', _rerun().Points2D(
+                truth[truth[:, 0] == number, 2:] + 0.5, radii=1.0, colors=(255, 255, 255)))
+
+    def _is_new(self, what: str, number: int) -> bool:
+        if (what, number) in self._shown:
+            return False
+        self._shown.add((what, number))
+        return True
+
+    def _show(self, name: str, image: NDArray[np.uint8]) -> None:
+        self._stream.log(name, _rerun().Image(image))
+
+    def _set_frame(self, number: int) -> None:
+        self._stream.set_time('frame', sequence=number)
+        stamp = float(self._recording.stamps[number])
+        if np.isfinite(stamp):
+            self._stream.set_time('time', duration=stamp - self._begun)
+
+
+def _rerun() -> Any:
+    import rerun
+    return rerun
+
+
+def _blueprint(backgrounds: list[str]) -> Any:
+    """Return what is seen where: pictures side by side, the statistic over time below."""
+    from rerun import blueprint
+
+    names = ['frame', *(f'{what}/{background}' for background in backgrounds
+                        for what in ('residual', 'matched_filter'))]
+    return blueprint.Blueprint(blueprint.Vertical(
+        blueprint.Grid(*(blueprint.Spatial2DView(origin=name, name=name) for name in names)),
+        blueprint.TimeSeriesView(origin='statistic', name='statistic'), row_shares=[3, 1]),
+        collapse_panels=True)

@@ -1,0 +1,83 @@
+"""``tbd view``: what is shown on rerun, read from the file that it saves."""
+
+from collections import defaultdict
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from track_before_detect.cli import main
+from track_before_detect.simulation.sensor import add_target
+
+N_FRAMES, SHAPE = 8, (24, 40)
+
+
+@pytest.fixture
+def recording_file(tmp_path):
+    """Return a file of frames in which a target moves by half a pixel a frame."""
+    frames = np.random.default_rng(3).standard_normal((N_FRAMES, *SHAPE)).astype(np.float32)
+    truth = [[t, 0, 10 + 0.5 * t, 12.0] for t in range(N_FRAMES)]
+    for t, _, x, y in truth:
+        add_target(frames[t], x, y, 1.0, 25.0)
+    np.savez(tmp_path / 'a.npz', frames=frames, fps=25, truth=truth)
+    return tmp_path / 'a.npz'
+
+
+def rows_of(path):
+    """Return the rows of each entity of a file by frame, components by the last of their names."""
+    chunk = pytest.importorskip('rerun.chunk', reason='this rerun cannot read what it writes')
+    rows = defaultdict(dict)
+    for one in chunk.RrdReader(path).stream().to_chunks():
+        for row in one.to_record_batch().to_pylist():
+            if row.get('frame') is not None:
+                rows[one.entity_path].setdefault(row['frame'], {}).update(
+                    {name.rpartition(':')[2]: value for name, value in row.items()})
+    return rows
+
+
+def test_frames_trajectories_truth_and_statistic_are_shown_over_time(
+        recording_file, tmp_path, capsys):
+    pytest.importorskip('rerun', reason='the extra [view] is missing')
+    saved = tmp_path / 'a.rrd'
+    assert main(['view', str(recording_file), '--preset', 'none', '--set', 'threshold=8',
+                 '--save', str(saved)]) == 0
+    assert f'written: {saved}' in capsys.readouterr().out
+    rows = rows_of(saved)
+    for name in ('frame', 'residual/none', 'matched_filter/none', 'frame/trajectories'):
+        assert sorted(rows[f'/{name}']) == list(range(N_FRAMES)), name
+    for frame in range(N_FRAMES):
+        # The middle of the first pixel is at half a pixel there.
+        where = np.array([10 + 0.5 * frame, 12]) + 0.5
+        shown = rows['/frame/trajectories'][frame]
+        np.testing.assert_allclose(shown['positions'], [where], atol=0.5)
+        assert shown['labels'][0].startswith('1  ')
+        np.testing.assert_allclose(rows['/frame/truth'][frame]['positions'], [where])
+        assert len(rows['/frame/trails'][frame]['strips']) == (frame > 0)
+        pixels = np.reshape(rows['/frame'][frame]['buffer'][0], SHAPE)
+        y, x = np.unravel_index(pixels.argmax(), SHAPE)
+        assert np.hypot(x + 0.5 - where[0], y + 0.5 - where[1]) < 2
+    [value] = rows['/statistic/none/threshold'].values()
+    assert value['scalars'] == [8]
+    [value] = rows['/statistic/none/strongest_path'].values()
+    assert value['scalars'][0] > 8
+
+
+def test_without_rerun_the_extra_is_named(recording_file):
+    program = ('import importlib.util, sys\n'
+               'find = importlib.util.find_spec\n'
+               'importlib.util.find_spec = lambda name: None if name == "rerun" else find(name)\n'
+               'from track_before_detect.cli import main\n'
+               f'sys.exit(main(["view", {str(recording_file)!r}]))')
+    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True,
+                          timeout=60)
+    assert done.returncode == 2
+    assert 'track_before_detect[view]' in done.stderr and done.stderr.count('\n') == 1
+
+
+@pytest.mark.parametrize(('arguments', 'fragment'), [
+    (['--save', 'a.txt'], 'must end with .rrd'), (['--save', 'no/such/a.rrd'], 'no/such')])
+def test_a_file_that_cannot_be_saved_is_refused(recording_file, capsys, arguments, fragment):
+    pytest.importorskip('rerun', reason='the extra [view] is missing')
+    assert main(['view', str(recording_file), *arguments]) == 2
+    assert fragment in capsys.readouterr().err
