@@ -47,7 +47,7 @@ ALLOWED = {
     'detection': BASICS | {'preprocess', 'solvers', 'tracking'},
     'evaluation': BASICS | {'__init__', 'kernels', 'models', 'option_models', 'preprocess',
                             'recordings', 'simulation', 'solvers', 'tracking'},
-    'inspection': BASICS | {'preprocess', 'recordings', 'solvers', 'tracking'},
+    'inspection': BASICS | {'option_models', 'preprocess', 'recordings', 'solvers', 'tracking'},
     'cli': BASICS | {'__init__', 'detection', 'evaluation', 'inspection', 'kernels',
                      'option_models', 'option_tables', 'recordings', 'results', 'simulation',
                      'solvers', 'tracking'},
