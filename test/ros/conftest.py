@@ -121,6 +121,7 @@ class Station:
         self._executor = SingleThreadedExecutor(context=context)
         self._executor.add_node(self.node)
         self.received = {}
+        self.clients = {}
 
     def listen(self, kind, topic, qos=50):
         """Collect the messages of a topic in ``received[topic]``."""
@@ -149,32 +150,34 @@ class Station:
         self.wait_until(publisher.get_subscription_count, f'a subscriber of {topic}')
         return publisher
 
-    def diagnostics(self):
-        """Return the newest diagnostics of the detector as a dictionary, empty before any."""
+    def diagnostics(self, name='detector'):
+        """Return the newest diagnostics of a node as a dictionary, empty before any."""
         for message in reversed(self.received['/diagnostics']):
             for status in message.status:
-                if status.name == 'detector':
+                if status.name == name:
                     values = {value.key: value.value for value in status.values}
                     return {**values, 'level': status.level, 'message': status.message}
         return {}
 
-    def wait_for_diagnostics(self, **expected):
-        """Wait until the newest diagnostics hold these values; return them."""
+    def wait_for_diagnostics(self, name='detector', **expected):
+        """Wait until the newest diagnostics of a node hold these values; return them."""
         def holds():
-            found = self.diagnostics()
+            found = self.diagnostics(name)
             return found if found and all(
                 found[key] == str(value) for key, value in expected.items()) else None
         try:
             return self.wait_until(holds, f'diagnostics with {expected}')
         except AssertionError as error:
-            raise AssertionError(f'{error}; newest: {self.diagnostics()}') from None
+            raise AssertionError(f'{error}; newest: {self.diagnostics(name)}') from None
 
     def call(self, kind, service, request):
         """Call a service; return the response."""
-        client = self.node.create_client(kind, service)
-        self.wait_until(client.service_is_ready, f'service {service}')
-        # The answer is lost where the server has not yet discovered who asks.
-        self.spin_for(0.5)
+        client = self.clients.get(service)
+        if client is None:
+            client = self.clients[service] = self.node.create_client(kind, service)
+            self.wait_until(client.service_is_ready, f'service {service}')
+            # The answer is lost where the server has not yet discovered who asks.
+            self.spin_for(0.5)
         future = client.call_async(request)
         return self.wait_until(lambda: future.done() and future.result(), f'answer of {service}')
 

@@ -63,11 +63,12 @@ def test_a_scenario_arrives_as_plain_frames_with_its_truth(launch, station):
     truth = station.listen(Path, 'truth/path', LATCHED)
     publisher = launch(
         'frame_publisher', '-p', 'scenario:=three_targets', '-p', 'seed:=4', '-p',
-        'message:=frame', '-p', 'rate_hz:=100.0', '-p', 'original_stamps:=true')
-    station.wait_until(lambda: len(frames) == 20 and len(truth) == 3, 'frames and truth')
+        'message:=frame', '-p', 'rate_hz:=100.0', '-p', 'original_stamps:=true', '-p',
+        'scenario_set:=n_frames=15 snr=6')
+    station.wait_until(lambda: len(frames) == 15 and len(truth) == 3, 'frames and truth')
     assert publisher.wait() == 0
-    assert 'done: 20 frames published' in publisher.output
-    simulated = simulate('three_targets', 4)
+    assert 'done: 15 frames published' in publisher.output
+    simulated = simulate('three_targets', 4, n_frames=15, snr=6.0)
     for message, frame in zip(frames, simulated.frames):
         np.testing.assert_array_equal(conversions.frame_from_multiarray(message), frame)
     for message, target in zip(truth, range(3)):
@@ -119,9 +120,12 @@ def test_it_waits_for_a_subscriber_before_the_first_frame(launch, station):
     ('input:=/none.npz', '/none.npz does not exist'),
     ('scenario:=nonsense', "unknown scenario 'nonsense'"),
     ('message:=picture', "message must be one of image, frame, got 'picture'"),
-    ('rate:=3.0', "unknown parameter 'rate'; did you mean rate_hz?"),
+    ('rate_h:=3.0', "unknown parameter 'rate_h'; did you mean rate_hz?"),
     ('rate_hz:=-3', 'rate_hz must be at least 0 Hz, got -3'),
     ('topic:=camera', 'belongs to a bag'),
+    ('scenario_set:=snr', "scenario_set needs KEY=VALUE, got 'snr'"),
+    ('scenario_set:=sn=2', "unknown parameter 'sn' of a scenario; did you mean snr?"),
+    ('start_offset_s:=3.0', 'must leave a frame, but they lie at 0 to 1.56 s'),
 ])
 def test_a_bad_parameter_is_one_sentence_and_exit_code_2(launch, argument, sentence):
     publisher = launch('frame_publisher', '-p', argument)

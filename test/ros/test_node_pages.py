@@ -29,6 +29,24 @@ def rows(page):
     return dict(found)
 
 
+def interfaces(node, kinds):
+    """Return the types of the topics and of the node's own services, named as in the page."""
+    name, namespace = node.get_name(), node.get_namespace()
+    topics = [pair for kind in kinds for pair in
+              getattr(node, f'get_{kind}_names_and_types_by_node')(name, namespace)]
+    found = {topic.lstrip('/'): types[0] for topic, types in topics if not topic.endswith(
+        ('/rosout', '/parameter_events', '/transition_event'))}
+    services = node.get_service_names_and_types_by_node(name, namespace)
+    return found, {service.replace(f'/{name}/', '~/'): types[0] for service, types in services}
+
+
+def said_and_live(page, pattern):
+    """Return the names of parameters that the page calls live, and of the others."""
+    text = page[page.index('## Parameters'):page.index('## Failure')]
+    return [re.findall('`(.*?)`', part) for part in
+            re.search(pattern, text, re.DOTALL).groups()]
+
+
 def test_it_names_the_topics_and_services_of_the_node_with_their_types(ros_domain, page):
     context = rclpy.Context()
     context.init(domain_id=int(ros_domain))
@@ -36,51 +54,41 @@ def test_it_names_the_topics_and_services_of_the_node_with_their_types(ros_domai
         Parameter('autostart', value=False)])
     try:
         assert node.trigger_configure() == node.trigger_activate()
-        name, namespace = node.get_name(), node.get_namespace()
-        topics = [*node.get_publisher_names_and_types_by_node(name, namespace),
-                  *node.get_subscriber_names_and_types_by_node(name, namespace)]
-        own = {topic: types[0] for topic, types in topics
-               if not topic.endswith(('/rosout', '/parameter_events', '/transition_event'))}
-        services = {service: types[0] for service, types in
-                    node.get_service_names_and_types_by_node(name, namespace)}
+        topics, services = interfaces(node, ('publisher', 'subscriber'))
     finally:
         node.destroy_node()
         context.try_shutdown()
     said = {name.lstrip('/'): kind for name, kind in rows(page).items()}
-    assert {name.lstrip('/'): kind for name, kind in own.items()} == {
-        name: kind for name, kind in said.items() if not name.startswith('~')}
+    assert topics == {name: kind for name, kind in said.items() if not name.startswith('~')}
     for name, kind in said.items():
         if name.startswith('~'):
-            assert services[name.replace('~', '/page')] == kind
+            assert services[name] == kind
 
 
 def test_it_names_the_parameters_of_the_node_alone_and_those_that_are_live(page):
-    text = page[page.index('## Parameters'):page.index('## Failure')]
-    live, at_start = re.search(
-        r'those of the node: (.*?) \(live\), (.*?) \(read at', text, re.DOTALL).groups()
+    live, at_start = said_and_live(page, r'those of the node: (.*?) \(live\), (.*?) \(read at')
     own = {parameter.name: parameter.live for parameter in PARAMETERS if not parameter.is_option}
-    assert set(re.findall('`(.*?)`', live)) == {name for name, is_live in own.items() if is_live}
-    assert set(re.findall('`(.*?)`', at_start)) == {
-        name for name, is_live in own.items() if not is_live}
+    assert set(live) == {name for name, is_live in own.items() if is_live}
+    assert set(at_start) == {name for name, is_live in own.items() if not is_live}
 
 
 @pytest.mark.parametrize('message', ['image', 'frame'])
-def test_that_of_the_publisher_names_its_topics_and_parameters(ros_domain, message):
+def test_that_of_the_publisher_names_its_topics_services_and_parameters(ros_domain, message):
     page = (PAGES / 'frame_publisher.md').read_text(encoding='utf-8')
     context = rclpy.Context()
     context.init(domain_id=int(ros_domain))
     node = frame_publisher_node.FramePublisherNode(context=context, parameter_overrides=[
-        Parameter('message', value=message)])
+        Parameter('message', value=message), Parameter('clock_hz', value=1.0)])
     try:
-        topics = {topic.lstrip('/'): types[0] for topic, types in
-                  node.get_publisher_names_and_types_by_node('frame_publisher', '/')
-                  if not topic.endswith(('/rosout', '/parameter_events'))}
+        topics, services = interfaces(node, ('publisher',))
     finally:
         node.destroy_node()
         context.try_shutdown()
-    said = rows(page)
+    said = {name.lstrip('/'): kind for name, kind in rows(page).items()}
     del said[{'image': 'frame', 'frame': 'image'}[message]]
-    assert topics == said
-    text = page[page.index('at the start:'):page.index('## Failure')]
-    assert re.findall('`(.*?)`', text) == [
-        parameter.name for parameter in frame_publisher_node.PARAMETERS]
+    own = {name: kind for name, kind in services.items() if kind.startswith('std_srvs')}
+    assert {**topics, **own} == said
+    live, at_start = said_and_live(page, r'\(live\): (.*?)\. .*at the start: (.*)')
+    parameters = frame_publisher_node.PARAMETERS
+    assert live == [parameter.name for parameter in parameters if parameter.live]
+    assert at_start == [parameter.name for parameter in parameters if not parameter.live]

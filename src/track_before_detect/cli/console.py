@@ -84,13 +84,13 @@ def add_loudness(parser: argparse.ArgumentParser) -> None:
                         help='say how far each step is, and of errors where they come from')
 
 
-def assignments(texts: Iterable[str]) -> dict[str, str]:
-    """Return the keys and values of ``--set KEY=VALUE``."""
+def assignments(texts: Iterable[str], option: str = '--set') -> dict[str, str]:
+    """Return the keys and values of ``--set KEY=VALUE``, or of an option of another name."""
     values = {}
     for text in texts:
         key, separator, value = text.partition('=')
         if not separator or not key.strip():
-            raise ParameterError(f'--set needs KEY=VALUE, got {text!r}')
+            raise ParameterError(f'{option} needs KEY=VALUE, got {text!r}')
         values[key.strip()] = value.strip()
     return values
 

@@ -1,5 +1,6 @@
 """The diagnostics message of the detector, and the warnings it repeats."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 import math
 import time
@@ -116,6 +117,12 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
         'failures': counters.failures,
         'last_warning': warnings.last,
     }
+    return status_message(name, stamp, level, message, values)
+
+
+def status_message(name: str, stamp: Time, level: bytes, message: str, values: Mapping[str, Any]
+                   ) -> DiagnosticArray:
+    """Return diagnostics of one node, with values as text."""
     return DiagnosticArray(header=Header(stamp=stamp), status=[DiagnosticStatus(
         level=level, name=name, message=message, hardware_id='',
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])])

@@ -25,7 +25,8 @@ DETECTOR_HEADER = """\
 # A parameter that the node does not know is an error.
 """
 FRAME_PUBLISHER_HEADER = """\
-# Parameters of the node frame_publisher, each with its default. All are read once, at start.
+# Parameters of the node frame_publisher, each with its default. Live parameters may be changed
+# while it plays; the others are read once, at start.
 #
 # Not listed: use_sim_time, and the overrides of the quality of service of the output, such as
 #   qos_overrides./image.publisher.depth: 50

@@ -1,0 +1,1 @@
+"""What the frame publisher plays, and where it is in it."""
