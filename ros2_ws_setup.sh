@@ -275,7 +275,7 @@ PYTHON
     # setuptools 80 dropped what colcon build --symlink-install calls.
     pip_install 'setuptools>=70.1,<80'
     cd -- "$package_dir"
-    pip_install "${options[@]}" --no-build-isolation --editable '.[readers,video,plots,cli,completion,parallel,test]'
+    pip_install "${options[@]}" --no-build-isolation --editable '.[readers,recorder,video,plots,cli,completion,parallel,test]'
 }
 
 check_installation() {

@@ -13,6 +13,8 @@ VERSION = re.search(r"^__version__ = '(.+)'$", (HERE / 'src' / PACKAGE / '__init
 
 EXTRAS = {
     'readers': ['pillow', 'tifffile', 'astropy', 'rosbags'],
+    # The node that records; what it writes is read by the readers.
+    'recorder': ['mcap>=1.6'],
     'plots': ['matplotlib'],
     'video': ['av>=12', 'pillow>=10.1'],
     'parquet': ['pyarrow'],
@@ -67,6 +69,7 @@ setup(
             f'tbd = {PACKAGE}.cli:main',
             f'detector = {PACKAGE}.ros.executables.detector:main',
             f'frame_publisher = {PACKAGE}.ros.executables.frame_publisher:main',
+            f'recorder = {PACKAGE}.ros.executables.recorder:main',
         ],
     },
 )

@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 
 from track_before_detect.ros import frame_publisher_node  # noqa: E402
 from track_before_detect.ros.detector_node import DetectorNode, PARAMETERS  # noqa: E402
+from track_before_detect.ros.recorder import recorder_node  # noqa: E402
 
 PAGES = Path(__file__).parents[2] / 'docs' / 'nodes'
 
@@ -92,3 +93,23 @@ def test_that_of_the_publisher_names_its_topics_services_and_parameters(ros_doma
     parameters = frame_publisher_node.PARAMETERS
     assert live == [parameter.name for parameter in parameters if parameter.live]
     assert at_start == [parameter.name for parameter in parameters if not parameter.live]
+
+
+def test_that_of_the_recorder_names_its_topics_and_parameters(ros_domain, tmp_path):
+    pytest.importorskip('mcap')
+    page = (PAGES / 'recorder.md').read_text(encoding='utf-8')
+    context = rclpy.Context()
+    context.init(domain_id=int(ros_domain))
+    node = recorder_node.RecorderNode(context=context, parameter_overrides=[
+        Parameter('output', value=str(tmp_path / 'page.mcap'))])
+    try:
+        topics, _ = interfaces(node, ('publisher', 'subscriber'))
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    assert topics == {name.lstrip('/'): kind for name, kind in rows(page).items()}
+    assert set(re.findall('`(.*?)`', re.search(r'unless told: (.*?)\.\n', page, re.DOTALL)[1])) \
+        == set(recorder_node.TOPICS)
+    text = page[page.index('## Parameters'):page.index('## Failure')]
+    assert re.findall('`(.*?)`', text) == [
+        parameter.name for parameter in recorder_node.PARAMETERS]

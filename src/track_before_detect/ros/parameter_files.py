@@ -12,6 +12,7 @@ import sys
 from track_before_detect.option_tables import yaml_entry
 from track_before_detect.ros import detector_node, frame_publisher_node
 from track_before_detect.ros.parameters import NodeParameter
+from track_before_detect.ros.recorder import recorder_node
 from track_before_detect.tracking.presets import NONE, PRESETS
 
 DETECTOR_HEADER = """\
@@ -31,6 +32,11 @@ FRAME_PUBLISHER_HEADER = """\
 # Not listed: use_sim_time, and the overrides of the quality of service of the output, such as
 #   qos_overrides./image.publisher.depth: 50
 # A parameter that the node does not know is an error.
+"""
+RECORDER_HEADER = """\
+# Parameters of the node recorder, each with its default. All are read once, at start.
+#
+# Not listed: use_sim_time. A parameter that the node does not know is an error.
 """
 PRESET_HEADER = """\
 # Options for a kind of sensor, the preset {}: a file of parameters for the node
@@ -84,6 +90,7 @@ FILES = {
     'detector.param.yaml': parameter_file(DETECTOR_HEADER, detector_node.PARAMETERS, True),
     'frame_publisher.param.yaml': parameter_file(
         FRAME_PUBLISHER_HEADER, frame_publisher_node.PARAMETERS),
+    'recorder.param.yaml': parameter_file(RECORDER_HEADER, recorder_node.PARAMETERS),
     **{f'{name}.yaml': _preset_file(name) for name in PRESETS if name != NONE},
 }
 
