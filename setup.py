@@ -60,6 +60,7 @@ setup(
         (f'share/{PACKAGE}', ['package.xml']),
         (f'share/{PACKAGE}/config', sorted(glob('config/*.yaml') + glob('config/*.xml'))),
         (f'share/{PACKAGE}/launch', sorted(glob('launch/*.launch.py'))),
+        (f'share/{PACKAGE}/views', sorted(glob('views/*'))),
     ],
     install_requires=['numpy>=1.26', 'scipy>=1.11', 'numba>=0.58'],
     extras_require=EXTRAS,
