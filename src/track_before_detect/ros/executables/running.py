@@ -9,6 +9,7 @@ from typing import NoReturn, Protocol, TypeVar
 import rclpy
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args, try_shutdown
@@ -21,6 +22,9 @@ from track_before_detect.ros.parameters import NodeParameter
 
 EXIT_DONE = 0
 EXIT_BAD_INPUT = 2
+
+RCLError = rclpy_implementation.RCLError
+ARGUMENTS = 'the ROS arguments cannot be used'
 
 AnyNode = TypeVar('AnyNode', bound=Node)
 # Spins a node until it is done or a signal has come.
@@ -58,14 +62,15 @@ def run(name: str, module: NodeModule, make_node: Callable[[], AnyNode], spin: S
     node, code = None, EXIT_DONE
     ending.hold()
     try:
-        with _words_of_rcl():
+        with _words_of_rcl(ARGUMENTS):
             others = remove_ros_args(args)[1:]
         _parser(name, module).parse_args(others)
         note = ensure_log_folder()
-        with _words_of_rcl():
+        with _words_of_rcl(ARGUMENTS):
             # Its own handlers take the middleware away while it is used.
             rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
-        node = make_node()
+        with _words_of_rcl('the node cannot be created', RCLError):
+            node = make_node()
         if note:
             node.get_logger().warning(note)
         executor = SingleThreadedExecutor()
@@ -92,14 +97,14 @@ def spin(node: Node, executor: SingleThreadedExecutor, ending: Ending) -> None:
 
 
 @contextmanager
-def _words_of_rcl() -> Iterator[None]:
-    """Raise TbdError for ROS arguments that cannot be used."""
+def _words_of_rcl(what: str, kind: type[Exception] = RuntimeError) -> Iterator[None]:
+    """Raise TbdError that says ``what`` is wrong, and why, for an error of rcl."""
     try:
         yield
-    except RuntimeError as error:
+    except kind as error:
         # What follows names lines of the source of rcl.
         reason = str(error).splitlines()[0].split(', at /')[0]
-        raise TbdError(f'the ROS arguments cannot be used: {reason}') from error
+        raise TbdError(f'{what}: {reason}') from error
 
 
 def _parser(name: str, module: NodeModule) -> Parser:
