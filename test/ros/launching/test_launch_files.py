@@ -23,6 +23,9 @@ ROOT = Path(__file__).parents[3]
 FILES = sorted(path.name.removesuffix('.launch.py') for path in ROOT.glob('launch/*.launch.py'))
 NODES = {'detector': detector_node, 'frame_publisher': frame_publisher_node,
          'recorder': recorder_node}
+# Arguments without a default.
+NEEDED = {'replay': {'input': 'a.npz'},
+          'sensors': {'params_file': str(ROOT / 'config' / 'detector.param.yaml')}}
 REAL = importlib.util.find_spec('launch_ros') is not None
 
 
@@ -127,9 +130,10 @@ def launched(monkeypatch):
 @pytest.mark.parametrize(('name', 'nodes'), [
     ('demo', {'frame_publisher', 'detector'}), ('detector', {'detector'}),
     ('frame_publisher', {'frame_publisher'}), ('recorder', {'recorder'}),
-    ('replay', {'frame_publisher', 'detector'}), ('view', {'rviz2'})])
+    ('replay', {'frame_publisher', 'detector'}), ('sensors', {'detector'}),
+    ('view', {'rviz2'})])
 def test_a_file_starts_its_nodes_with_parameters_that_exist(launched, name, nodes):
-    found = launched(name, **({'input': 'a.npz'} if name == 'replay' else {}))
+    found = launched(name, **NEEDED.get(name, {}))
     assert found.keys() == nodes
     for executable, node in found.items():
         if executable == 'rviz2':
@@ -153,7 +157,7 @@ def test_their_page_names_every_file_and_its_arguments(launched):
     rows = dict(re.findall(r'^\| `(\w+)\.launch\.py` \|.*?\| ([^|]*) \|$', page, re.MULTILINE))
     assert sorted(rows) == FILES
     for name, words in rows.items():
-        context = {'input': 'a.npz'} if name == 'replay' else {}
+        context = dict(NEEDED.get(name, {}))
         started(name, context, [])
         said = set(re.findall('`(.*?)`', words))
         # Arguments of included files are not named again.
