@@ -7,6 +7,7 @@ import pytest
 
 from naive import gaussian_stamp_image
 from track_before_detect.errors import ParameterError
+from track_before_detect.simulation.backdrop import backdrop
 from track_before_detect.simulation.scenarios import Scenario, SCENARIOS, simulate
 from track_before_detect.simulation.sensor import add_path
 
@@ -103,6 +104,21 @@ def test_noise_has_unit_deviation_and_no_target():
     frames = simulate('noise', 0).frames
     assert frames.std() == pytest.approx(1.0, abs=0.005)
     assert abs(frames.mean()) < 0.01
+
+
+def test_a_background_passes_through_the_picture_and_leaves_noise_and_targets_alone():
+    first, *_, last = backdrop(np.random.default_rng(0), (4, 30, 40), {3.0: 5.0}, (2.0, -1.0))
+    # Three steps to the right and up.
+    np.testing.assert_allclose(last[3:, :-6], first[:-3, 6:], atol=1e-5)
+    assert first.std() == pytest.approx(5.0, rel=0.2)
+    behind = simulate('eo_ir_turning', 1).frames - simulate(
+        'eo_ir_turning', 1, background_rms=0.0).frames
+    assert behind.std() == pytest.approx(12.0, rel=0.3)
+    still = simulate('eo_ir_turning', 1, background_speed_px_per_frame=0.0)
+    np.testing.assert_array_equal(still.truth, simulate('eo_ir_turning', 1).truth)
+    still.frames[:] -= simulate('eo_ir_turning', 1, background_rms=0.0).frames
+    np.testing.assert_allclose(still.frames, np.broadcast_to(still.frames[0], behind.shape),
+                               atol=1e-4)
 
 
 @pytest.mark.parametrize(('name', 'kinds'), [('three_targets', 'constant'),

@@ -1,7 +1,7 @@
 """Simulated recordings by name.
 
 The noise is white and Gaussian with a standard deviation of 1, targets are stamps of a unit-norm
-Gaussian point spread function, so ``snr`` is the amplitude in one frame.
+Gaussian point spread function, so ``snr`` is the amplitude in one frame. Some have a background.
 """
 
 import dataclasses
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import named, ParameterError, suggestion
 from track_before_detect.options import checked_value, declared
-from track_before_detect.simulation.motions import place_targets
+from track_before_detect.simulation.backdrop import backdrop, LAYERS
+from track_before_detect.simulation.motions import direction, place_targets
 from track_before_detect.simulation.sensor import add_path
 
 
@@ -76,6 +77,13 @@ class Scenario:
     separation_px: float = _parameter(
         12.0, 'Least distance of two targets in any frame; the distance of parallel ones; not '
         'used by crossing.', unit='px', minimum=0.0, maximum=1e6)
+    background_rms: float = _parameter(
+        0.0, 'Standard deviation of a background like clouds and ground, with details of all '
+        'sizes; 0 is none.', minimum=0.0, maximum=1e6)
+    background_speed_px_per_frame: float = _parameter(
+        0.0, 'Speed at which the background passes through the picture, in a direction of its '
+        'own, as clouds drift or a camera turns; targets move through the picture all the same.',
+        unit='px/frame', minimum=0.0, maximum=1000.0)
     border_px: float = _parameter(
         4.0, 'Least distance of a target to the edge of the frame.', unit='px', minimum=0.0,
         maximum=1e6)
@@ -99,6 +107,16 @@ SCENARIOS: dict[str, Scenario] = {
         'Electro-optical or infrared camera, three dim drones on gently curved courses.',
         n_frames=40, n_targets=3, snr=3.0, snr_spread=1.5, motion='turns',
         speed_px_per_frame=0.9, turn_rate_rad_per_frame=0.025),
+    'eo_ir_clouds': Scenario(
+        'Electro-optical or infrared camera that stands below drifting clouds, two drones.',
+        n_frames=40, n_targets=2, snr=6.0, motion='turns', speed_px_per_frame=0.9,
+        turn_rate_rad_per_frame=0.025, psf_sigma_px=1.5, background_rms=12.0,
+        background_speed_px_per_frame=0.1),
+    'eo_ir_turning': Scenario(
+        'Electro-optical or infrared camera that turns with a drone, past ground and clouds.',
+        n_frames=40, snr=6.0, motion='turns', speed_px_per_frame=0.4,
+        turn_rate_rad_per_frame=0.025, psf_sigma_px=1.5, background_rms=12.0,
+        background_speed_px_per_frame=1.3),
     'radar_plots': Scenario(
         'Range-bearing maps of a scanning radar after the matched filter, two targets whose '
         'echo fluctuates from scan to scan.',
@@ -132,7 +150,7 @@ class SimulatedRecording:
     Attributes
     ----------
     frames : array of float32, shape (T, H, W)
-        Noise of standard deviation 1, and targets.
+        Noise of standard deviation 1, targets, and what background there is.
     stamps : array, shape (T,)
         Seconds, from 0.
     truth : array, shape (N, 4)
@@ -163,8 +181,8 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
     scenario = _overridden(name, overrides)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ParameterError(f'seed must be a whole number, not negative, got {seed!r}')
-    for_noise, for_motion, for_amplitude = (
-        np.random.default_rng(part) for part in np.random.SeedSequence(int(seed)).spawn(3))
+    for_noise, for_motion, for_amplitude, for_background = (
+        np.random.default_rng(part) for part in np.random.SeedSequence(int(seed)).spawn(4))
     shape = (scenario.n_frames, scenario.height, scenario.width)
     positions = place_targets(name, scenario, for_motion)
     snr = scenario.snr * for_amplitude.uniform(1.0, scenario.snr_spread, len(positions))
@@ -172,6 +190,13 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
     if scenario.fluctuation == 'rayleigh':
         amplitudes *= np.sqrt(for_amplitude.exponential(1.0, amplitudes.shape))
     frames = for_noise.standard_normal(shape, np.float32)
+    if scenario.background_rms:
+        layers = {scale: scenario.background_rms * share for scale, share in LAYERS.items()}
+        step = scenario.background_speed_px_per_frame * direction(
+            for_background.uniform(0.0, 2.0 * math.pi))
+        for frame, picture in zip(
+                frames, backdrop(for_background, shape, layers, step), strict=True):
+            frame += picture
     for path, amplitude in zip(positions, amplitudes, strict=True):
         # Columns that go round show a target at both edges.
         turns = (-1, 0, 1) if scenario.doppler_ambiguities else (0,)

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
 from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
@@ -20,6 +19,7 @@ from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.per_frame import KeptFrames
 from track_before_detect.preprocess.prepare import noise_of_one, pictures, PreparedBatch
+from track_before_detect.simulation.backdrop import backdrop
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.tracking.pipeline import BACKGROUNDS, TrackingPipeline
 from track_before_detect.tracking.presets import AUTO, choose_options, FRAMES_SEEN
@@ -28,7 +28,7 @@ from track_before_detect.types import FrameBatch
 # Grey levels: what a pixel is about, its noise, and a target in the unit of its matched filter.
 LEVEL, NOISE, TARGET = 2000.0, 4.0, 140.0
 # Deviations of the texture in grey levels by its scale in pixels.
-TEXTURE = {2: 3.4, 8: 11.0, 40: 56.0}
+TEXTURE = {2.0: 3.4, 8.0: 11.0, 40.0: 56.0}
 # Pixels per frame of the camera, at most as far beside that at a time, and of the target.
 PAN, SHAKE, SPEED = (1.3, 0.1), 0.2, (0.6, -0.4)
 PSF_SIGMA_PX = 1.5
@@ -51,16 +51,8 @@ class Scene:
 def panning(scene: Scene, n_frames: int) -> NDArray[np.uint16]:
     """Return frames (T, H, W) of a texture over which the camera pans, with one target."""
     rng = np.random.default_rng(SEED)
-    offsets = np.cumsum(PAN + rng.uniform(-SHAKE, SHAKE, (n_frames, 2)), axis=0)
-    right, down = np.ceil(offsets.max(axis=0)).astype(int) + 3
-    texture = np.zeros((scene.height + down, scene.width + right), np.float32)
-    for scale, deviation in TEXTURE.items():
-        layer = ndimage.gaussian_filter(
-            rng.standard_normal(texture.shape, np.float32), scale)
-        texture += deviation / layer.std() * layer
     frames = np.empty((n_frames, scene.height, scene.width), np.uint16)
-    for t, (x, y) in enumerate(offsets.tolist()):
-        picture = ndimage.affine_transform(texture, np.ones(2), (y, x), frames.shape[1:], order=1)
+    for t, picture in enumerate(backdrop(rng, frames.shape, TEXTURE, PAN, SHAKE)):
         picture += LEVEL + NOISE * rng.standard_normal(picture.shape, np.float32)
         add_target(picture, 0.4 * scene.width + SPEED[0] * t, 0.5 * scene.height + SPEED[1] * t,
                    PSF_SIGMA_PX, TARGET)
