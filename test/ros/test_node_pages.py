@@ -31,7 +31,10 @@ def rows(page):
 
 
 def interfaces(node, kinds):
-    """Return the types of the topics and of the node's own services, named as in the page."""
+    """Return the types of the topics and of the node's own services, named as in the page.
+
+    The node has a name that no process has had: one that was killed is still known for a while.
+    """
     name, namespace = node.get_name(), node.get_namespace()
     topics = [pair for kind in kinds for pair in
               getattr(node, f'get_{kind}_names_and_types_by_node')(name, namespace)]
@@ -78,8 +81,9 @@ def test_that_of_the_publisher_names_its_topics_services_and_parameters(ros_doma
     page = (PAGES / 'frame_publisher.md').read_text(encoding='utf-8')
     context = rclpy.Context()
     context.init(domain_id=int(ros_domain))
-    node = frame_publisher_node.FramePublisherNode(context=context, parameter_overrides=[
-        Parameter('message', value=message), Parameter('clock_hz', value=1.0)])
+    node = frame_publisher_node.FramePublisherNode(
+        'page_player', context=context, parameter_overrides=[
+            Parameter('message', value=message), Parameter('clock_hz', value=1.0)])
     try:
         topics, services = interfaces(node, ('publisher',))
     finally:
@@ -100,7 +104,7 @@ def test_that_of_the_recorder_names_its_topics_and_parameters(ros_domain, tmp_pa
     page = (PAGES / 'recorder.md').read_text(encoding='utf-8')
     context = rclpy.Context()
     context.init(domain_id=int(ros_domain))
-    node = recorder_node.RecorderNode(context=context, parameter_overrides=[
+    node = recorder_node.RecorderNode('page_recorder', context=context, parameter_overrides=[
         Parameter('output', value=str(tmp_path / 'page.mcap'))])
     try:
         topics, _ = interfaces(node, ('publisher', 'subscriber'))

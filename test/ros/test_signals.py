@@ -52,7 +52,8 @@ def end(process, *numbers):
 
 @pytest.mark.alone
 @pytest.mark.parametrize(('name', 'code'), [
-    ('executables.detector', 0), ('executables.frame_publisher', 0), ('demo', 130)])
+    ('executables.detector', 0), ('executables.frame_publisher', 0), ('executables.recorder', 0),
+    ('demo', 130)])
 def test_signals_at_any_time_after_the_start_end_it_in_time_without_a_traceback(
         ros_domain, tmp_path, name, code):
     for delay_s in (0.0, 0.4, 0.8, 1.6):

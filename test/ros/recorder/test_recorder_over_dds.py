@@ -97,6 +97,7 @@ def test_a_full_disk_is_said_and_recording_goes_on_when_there_is_room(
     ({'output': 'recording.bag'}, 'output must end with .mcap, got recording.bag'),
     ({'output': '/nowhere/a.mcap'}, 'output /nowhere/a.mcap cannot be made: No such file'),
     ({'topics': ' '}, 'topics must name a topic at least'),
+    ({'topics': 'image a-b'}, "topics must be names of topics, got 'a-b'"),
 ])
 def test_a_parameter_of_no_use_is_one_sentence(station, values, sentence):
     with pytest.raises(ParameterError, match=sentence):

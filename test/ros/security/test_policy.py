@@ -47,21 +47,22 @@ def doing(ros_domain, tmp_path_factory):
     context = rclpy.Context()
     context.init(domain_id=int(ros_domain))
     output = str(tmp_path_factory.mktemp('recorder') / 'a.mcap')
-    detector, *others = nodes = [
-        kind(context=context, parameter_overrides=[
-            Parameter(name, value=value) for name, value in values.items()])
-        for kind, values in ((DetectorNode, {'autostart': False}),
-                             (FramePublisherNode, {'clock_hz': 1.0}),
-                             (RecorderNode, {'output': output}))]
+    # Named unlike any process: one that was killed is still known for a while.
+    nodes = {name: kind(f'allowed_{name}', context=context, parameter_overrides=[
+        Parameter(parameter, value=value) for parameter, value in values.items()])
+        for name, kind, values in (('detector', DetectorNode, {'autostart': False}),
+                                   ('frame_publisher', FramePublisherNode, {'clock_hz': 1.0}),
+                                   ('recorder', RecorderNode, {'output': output}))}
+    detector = nodes['detector']
     assert detector.trigger_configure() == detector.trigger_activate()
-    found = {(node.get_name(), what): {
-        name for name, _ in getattr(node, f'get_{kind}_names_and_types_by_node')(
-            node.get_name(), '/')}
-        for node in nodes for what, kind in (
+    found = {(name, what): {
+        topic.replace('/allowed_', '/') for topic, _ in getattr(
+            node, f'get_{kind}_names_and_types_by_node')(f'allowed_{name}', '/')}
+        for name, node in nodes.items() for what, kind in (
             ('publish', 'publisher'), ('subscribe', 'subscriber'), ('reply', 'service'))}
     # It subscribes to each once somebody publishes it.
     found['recorder', 'subscribe'] |= {f'/{topic.lstrip("/")}' for topic in TOPICS}
-    for node in nodes:
+    for node in nodes.values():
         node.destroy_node()
     context.try_shutdown()
     return found

@@ -3,14 +3,25 @@
 In: the topics of the parameter ``topics``, of whatever type they are; out: ``/diagnostics``.
 """
 
+from datetime import datetime
 from pathlib import Path
-import time
 from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
-from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.event_handler import (
+    QoSMessageLostInfo,
+    QoSRequestedIncompatibleQoSInfo,
+    SubscriptionEventCallbacks,
+)
+from rclpy.exceptions import InvalidTopicNameException
+from rclpy.qos import (
+    qos_policy_name_from_kind,
+    QoSDurabilityPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
+from rclpy.validate_topic_name import validate_topic_name
 
 from track_before_detect.errors import MissingExtraError, ParameterError
 from track_before_detect.ros.diagnostics import status_message, Warnings
@@ -64,15 +75,16 @@ class RecorderNode(ParameterizedNode):
         super().__init__(name, PARAMETERS, **settings)
         values = self.values()
         # In the order of their names, however often one is named.
-        self._missing = sorted({self.resolve_topic_name(topic)
-                                for topic in values['topics'].split()})
+        self._missing = sorted({self._full_name(topic) for topic in values['topics'].split()})
         if not self._missing:
             raise ParameterError('topics must name a topic at least')
         self._warnings = Warnings()
         self._counts: dict[str, int] = {}
         self._n_left_out = self._n_lost = 0
         self._trouble = ''
-        self._path = Path(values['output'] or time.strftime(f'recording_%Y%m%d_%H%M%S{SUFFIX}'))
+        # To the millisecond: another may be started in the same second.
+        self._path = Path(values['output'] or datetime.now().strftime(
+            'recording_%Y%m%d_%H%M%S_%f')[:-3] + SUFFIX)
         self._open(values)
         self.finish_parameters()
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', OUTPUT_DEPTH)
@@ -95,6 +107,13 @@ class RecorderNode(ParameterizedNode):
         self.get_logger().info(f'done: {n_messages} messages of {len(self._counts)} topics in '
                                f'{self._path}, {self._n_left_out} left out')
         super().destroy_node()
+
+    def _full_name(self, topic: str) -> str:
+        try:
+            validate_topic_name(topic)
+        except InvalidTopicNameException as error:
+            raise ParameterError(f'topics must be names of topics, got {topic!r}') from error
+        return self.resolve_topic_name(topic)
 
     def _open(self, values: dict[str, Any]) -> None:
         try:
@@ -140,6 +159,11 @@ class RecorderNode(ParameterizedNode):
             self._n_lost += event.total_count_change
             self._warn(f'lost {topic}', f'{event.total_count} messages of {topic} were lost')
 
+        def incompatible(event: QoSRequestedIncompatibleQoSInfo) -> None:
+            policy = qos_policy_name_from_kind(event.last_policy_kind)
+            self._warn(f'qos {topic}', f'a publisher of {topic} that came later offers less '
+                       f'({policy}) than those before, so nothing of it is recorded')
+
         self.create_subscription(
             message, topic, cast(Any, take), QoSProfile(
                 depth=INPUT_DEPTH,
@@ -148,12 +172,17 @@ class RecorderNode(ParameterizedNode):
                 durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if kept
                 else QoSDurabilityPolicy.VOLATILE),
             event_callbacks=SubscriptionEventCallbacks(
-                message_lost=lost, use_default_callbacks=False), raw=True)
+                message_lost=lost, incompatible_qos=incompatible,
+                use_default_callbacks=False), raw=True)
         self.get_logger().info(f'recording {topic} ({kind})')
 
     def _take(self, topic: str, data: bytes, info: dict[str, int]) -> None:
         received_ns = self.get_clock().now().nanoseconds
-        if self._file.write(topic, data, received_ns, info['source_timestamp']):
+        if not received_ns:
+            self._n_left_out += 1
+            self._warn('clock', f'{self._n_left_out} messages left out: use_sim_time is set, but '
+                       'no time came on /clock')
+        elif self._file.write(topic, data, received_ns, info['source_timestamp']):
             self._counts[topic] += 1
         else:
             self._n_left_out += 1
