@@ -121,6 +121,19 @@ def test_a_background_passes_through_the_picture_and_leaves_noise_and_targets_al
                                atol=1e-4)
 
 
+def test_another_sensor_sees_the_same_targets_from_elsewhere_in_noise_of_its_own():
+    one, other = (simulate('single_target', 3, sensor=sensor, view_x_px=4.5 * sensor, snr=40.0)
+                  for sensor in (0, 1))
+    np.testing.assert_allclose(other.truth, one.truth - [0, 0, 4.5, 0])
+    alone = [simulate('noise', 3, sensor=sensor).frames.ravel() for sensor in (0, 1, 2)]
+    assert np.abs(np.corrcoef(alone) - np.eye(3)).max() < 0.01
+    for made in (one, other):
+        k, _, x, y = made.truth[7]
+        frame = made.frames[int(k)]
+        seen = (frame * gaussian_stamp_image(frame.shape, x, y, 1.0)).sum()
+        assert seen == pytest.approx(40.0, abs=4.0)
+
+
 @pytest.mark.parametrize(('name', 'kinds'), [('three_targets', 'constant'),
                                              ('radar_plots', 'fluctuating')])
 def test_snr_is_the_amplitude_of_the_unit_norm_stamp(name, kinds):

@@ -84,6 +84,15 @@ class Scenario:
         0.0, 'Speed at which the background passes through the picture, in a direction of its '
         'own, as clouds drift or a camera turns; targets move through the picture all the same.',
         unit='px/frame', minimum=0.0, maximum=1000.0)
+    sensor: int = _parameter(
+        0, 'Which of several sensors this is, which see the same targets, each with noise and '
+        'background of its own.', minimum=0, maximum=1000)
+    view_x_px: float = _parameter(
+        0.0, 'Column in the frames of sensor 0 at which those of this one begin.', unit='px',
+        minimum=-1e6, maximum=1e6)
+    view_y_px: float = _parameter(
+        0.0, 'Row in the frames of sensor 0 at which those of this one begin.', unit='px',
+        minimum=-1e6, maximum=1e6)
     border_px: float = _parameter(
         4.0, 'Least distance of a target to the edge of the frame.', unit='px', minimum=0.0,
         maximum=1e6)
@@ -181,10 +190,15 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
     scenario = _overridden(name, overrides)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ParameterError(f'seed must be a whole number, not negative, got {seed!r}')
-    for_noise, for_motion, for_amplitude, for_background = (
-        np.random.default_rng(part) for part in np.random.SeedSequence(int(seed)).spawn(4))
+    noise_seed, motion_seed, amplitude_seed, background_seed = (
+        np.random.SeedSequence(int(seed)).spawn(4))
+    for_motion, for_amplitude = map(np.random.default_rng, (motion_seed, amplitude_seed))
+    for_noise, for_background = (
+        np.random.default_rng(part.spawn(scenario.sensor)[-1] if scenario.sensor else part)
+        for part in (noise_seed, background_seed))
     shape = (scenario.n_frames, scenario.height, scenario.width)
     positions = place_targets(name, scenario, for_motion)
+    positions -= scenario.view_x_px, scenario.view_y_px
     snr = scenario.snr * for_amplitude.uniform(1.0, scenario.snr_spread, len(positions))
     amplitudes = np.repeat(snr[:, None], scenario.n_frames, axis=1)
     if scenario.fluctuation == 'rayleigh':
