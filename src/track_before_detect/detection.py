@@ -129,4 +129,4 @@ def detect_sensors(sensors: Sequence[Sensor], detector: str = 'convex', *,
     """
     settings = DetectorOptions.from_mapping({'detector': detector, **options})
     array = SensorArray(sensors, settings)
-    return detect_recording(array, settings, progress, SensorPipeline(array, settings))
+    return detect_recording(array, settings, progress, SensorPipeline(array.plane, settings))

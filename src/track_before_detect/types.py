@@ -61,12 +61,16 @@ class FrameBatch:
     scene : array, shape (T, 3, 3), optional
         Takes the pixels of one of the frames to where each shows the same of a moving scene, see
         the module ``geometry``.
+    taken : array of int, shape (T, 2), optional
+        Where they come from several sensors: the number of the sensor that took each frame, and
+        of the frame among its own.
     """
 
     frames: NDArray
     stamps: NDArray[np.float64]
     frame_indices: NDArray[np.int64]
     scene: NDArray[np.float64] | None = None
+    taken: NDArray[np.int64] | None = None
 
     @classmethod
     def of(cls, frames: NDArray, stamps: NDArray | None = None) -> FrameBatch:

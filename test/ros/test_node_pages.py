@@ -12,6 +12,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 
 from track_before_detect.ros import frame_publisher_node  # noqa: E402
 from track_before_detect.ros.detector_node import DetectorNode, PARAMETERS  # noqa: E402
+from track_before_detect.ros.intake.sensor_inputs import OF_SENSOR  # noqa: E402
 from track_before_detect.ros.recorder import recorder_node  # noqa: E402
 
 PAGES = Path(__file__).parents[2] / 'docs' / 'nodes'
@@ -74,6 +75,13 @@ def test_it_names_the_parameters_of_the_node_alone_and_those_that_are_live(page)
     own = {parameter.name: parameter.live for parameter in PARAMETERS if not parameter.is_option}
     assert set(live) == {name for name, is_live in own.items() if is_live}
     assert set(at_start) == {name for name, is_live in own.items() if not is_live}
+
+
+def test_it_names_the_parameters_of_each_of_several_sensors(page):
+    table = page[page.index('| of each sensor'):page.index('-p sensors:=')]
+    names = [name for first in re.findall(r'^\| (`.*?) \|', table, re.MULTILINE)
+             for name in re.findall('`(.*?)`', first)]
+    assert names == [parameter.name for parameter in OF_SENSOR]
 
 
 @pytest.mark.parametrize('message', ['image', 'frame'])

@@ -175,3 +175,15 @@ def test_a_window_of_one_frame_releases_each_frame():
 def test_a_window_that_makes_no_sense_is_refused(length, hop, gap):
     with pytest.raises(ParameterError):
         SlidingWindow(length, hop, gap)
+
+
+def test_of_several_sensors_stamps_repeat_and_only_what_is_unlike_the_others_is_a_gap():
+    window = SlidingWindow(4, 2, several=True)
+    # Two at once, then a third, again and again.
+    stamps = (np.arange(10)[:, None] + [0.0, 0.0, 0.01]).ravel()
+    intakes = [window.add(np.zeros((2, 2)), stamp, k) for k, stamp in enumerate(stamps)]
+    assert {intake.outcome for intake in intakes} == {Outcome.ACCEPTED}
+    np.testing.assert_array_equal(intakes[3].batch.stamps, [0.0, 0.0, 0.01, 1.0])
+    assert window.add(np.zeros((2, 2)), 20.0, 30).outcome is Outcome.GAP
+    for k, outcome in enumerate([Outcome.WAITING, Outcome.JUMP_BACK], 31):
+        assert window.add(np.zeros((2, 2)), 3.0, k).outcome is outcome

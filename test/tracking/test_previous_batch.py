@@ -1,5 +1,7 @@
 """A batch is told where the one before saw targets, in its own pixels, and is not misled."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -98,10 +100,10 @@ def test_sensors_are_told_on_their_common_plane():
     shifted = [[1.0, 0, -5], [0, 1, 7]]
     options = DetectorOptions(threshold=12.0)
     array = SensorArray([Sensor(frames, np.arange(28.0), affine=shifted)], options)
-    spy = Spy(options, array.measurement)
-    pipeline = SensorPipeline(array, options, spy)
+    spy = Spy(options, array.plane.measurement)
+    pipeline = SensorPipeline(array.plane, options, detector=spy)
     for batch in batches(frames):
-        pipeline.process(batch)
+        pipeline.process(replace(batch, taken=array.taken[batch.frame_indices]))
     distances = told_and_found(spy.seen)
     assert len(distances) == 2
     assert max(distances) < 1.0

@@ -18,7 +18,9 @@ from track_before_detect.models.measurement.base import grid_shape
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.viterbi_table import RowThreads
+from track_before_detect.tracking.sensor_pipeline import SensorPipeline
 from track_before_detect.tracking.sensors import SensorArray
+from track_before_detect.types import FrameBatch
 
 TURN, ZOOM = np.deg2rad(25), 1.25
 AFFINES = (
@@ -297,3 +299,31 @@ def test_a_variance_of_another_shape_names_what_was_expected():
     with pytest.raises(DataError, match='variance must have the shape'):
         detect_sensors([first, dataclasses.replace(second, variance=np.ones((3, 3)))],
                        threshold=9)
+
+
+def test_one_with_too_few_frames_for_its_background_is_left_out_in_words():
+    [whole, other] = sensors(2, 6.0)
+    short = dataclasses.replace(other, frames=other.frames[:2], stamps=other.stamps[:2])
+    told = {'threshold': 9, 'background': 'temporal_median', 'noise': 'robust'}
+    alone = detect_sensors([whole], **told)
+    both = detect_sensors([whole, short], **told)
+    assert 'sensor 1: background=temporal_median needs at least 3 frames, got 2; its' in str(
+        both.remarks)
+    [a], [b] = alone.trajectories, both.trajectories
+    assert a.statistic == pytest.approx(b.statistic, rel=0.02)
+    with pytest.raises(DataError, match='at least 3 frames, got 2'):
+        detect_sensors([short], **told)
+
+
+def test_batches_with_jitter_or_other_shares_of_the_sensors_share_a_calibration():
+    rng = np.random.default_rng(0)
+    small = [Sensor(rng.standard_normal((12, 9, 9)), np.sort(rng.uniform(0, 12, 12)))
+             for _ in range(2)]
+    told = DetectorOptions(motion_model='static', batch_length=6)
+    array = SensorArray(small, told)
+    pipeline = SensorPipeline(array.plane, told)
+    found = [pipeline.process(FrameBatch(
+        np.stack([array[i] for i in range(first, first + 6)]), 0.5 * np.arange(6), np.arange(6),
+        taken=array.taken[first:first + 6])) for first in (0, 6, 12)]
+    assert len({tuple(array.taken[first:first + 6, 0]) for first in (0, 6, 12)}) == 3
+    assert len({result.threshold for result in found}) == 1

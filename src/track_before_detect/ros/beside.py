@@ -9,13 +9,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 import threading
 import time
+from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.ros.frame_queue import StreamRequest
-from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.presets import Choice
+from track_before_detect.tracking.recording import BatchPipeline
 from track_before_detect.types import Progress
 
 # A preparation that has taken longer is left for what is asked for next; a shorter one is
@@ -24,7 +25,23 @@ WORTH_FINISHING_S = 0.5
 # From one preparation to the next, so that the search keeps most of the processor.
 PAUSE_S = 0.1
 
-MakePipeline = Callable[[DetectorOptions, TrackingPipeline | None], TrackingPipeline]
+
+class StreamPipeline(BatchPipeline, Protocol):
+    """What finds the trajectories of a stream; see :class:`TrackingPipeline`."""
+
+    def compile(self, progress: Progress | None = None) -> None:
+        """Run every kernel once."""
+
+    def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
+                progress: Progress | None = None) -> float:
+        """Compile every kernel, and return the threshold, NaN where a batch decides it."""
+
+    def reset(self) -> None:
+        """Forget identities and earlier batches."""
+
+
+# Told options and the pipeline before, which is of the same kind.
+MakePipeline = Callable[[DetectorOptions, Any], StreamPipeline]
 
 
 class LeftError(Exception):
@@ -45,7 +62,7 @@ class Wanted:
         Height and width.
     interval_s : float
         Between frames.
-    earlier : TrackingPipeline
+    earlier : StreamPipeline
         From which ids are taken over.
     """
 
@@ -53,7 +70,7 @@ class Wanted:
     frames: NDArray
     shape: tuple[int, int]
     interval_s: float
-    earlier: TrackingPipeline
+    earlier: StreamPipeline
 
 
 @dataclass(frozen=True)
@@ -66,7 +83,7 @@ class Prepared:
         What it was prepared for.
     choice : Choice or None
         Its options.
-    pipeline : TrackingPipeline or None
+    pipeline : StreamPipeline or None
         Compiled and calibrated.
     threshold : float
         On the statistic.
@@ -78,7 +95,7 @@ class Prepared:
 
     wanted: Wanted
     choice: Choice | None = None
-    pipeline: TrackingPipeline | None = None
+    pipeline: StreamPipeline | None = None
     threshold: float = float('nan')
     seconds: float = 0.0
     error: Exception | None = None

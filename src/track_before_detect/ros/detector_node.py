@@ -1,14 +1,14 @@
 """Node ``detector``: frames in, trajectories out.
 
 Topics (relative): in ``image`` (sensor_msgs/Image) or ``image/compressed``, and ``frame``
-(std_msgs/Float32MultiArray); out ``trajectories/markers``, ``trajectories/path``,
-``trajectories/points``, ``overlay``, ``/diagnostics`` and, where their packages are installed,
-those of :class:`FieldOutputs`. Service ``~/flush`` (std_srvs/Trigger) has the frames that were in
-no batch yet searched at once. The node is managed: it searches while it is active, see
-docs/nodes/detector.md.
+(std_msgs/Float32MultiArray), or those of several sensors; out ``trajectories/markers``,
+``trajectories/path``, ``trajectories/points``, ``overlay``, ``/diagnostics`` and, where their
+packages are installed, those of :class:`FieldOutputs`. Service ``~/flush`` (std_srvs/Trigger) has
+the frames that were in no batch yet searched at once. The node is managed: it searches while it
+is active, see docs/nodes/detector.md.
 """
 
-from collections.abc import Callable, Mapping, Set
+from collections.abc import Callable, Mapping, Sequence, Set
 from copy import copy
 from functools import partial
 import threading
@@ -17,6 +17,7 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
+from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import (
     PublisherEventCallbacks,
@@ -42,8 +43,10 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from track_before_detect.errors import TbdError
+from track_before_detect.options import DetectorOptions
 from track_before_detect.recordings.overlay import render_overlay
 from track_before_detect.ros import conversions
+from track_before_detect.ros.beside import StreamPipeline
 from track_before_detect.ros.diagnostics import (
     diagnostics_message,
     option_words,
@@ -62,6 +65,15 @@ from track_before_detect.ros.intake.frame_reader import (
     STEADY,
 )
 from track_before_detect.ros.intake.neighbours import neighbour_warnings, senders
+from track_before_detect.ros.intake.sensor_inputs import (
+    FRAME,
+    IMAGE,
+    parameters_of,
+    sensor_inputs,
+    SensorInput,
+    SENSORS,
+)
+from track_before_detect.ros.intake.sensor_stream import SensorCount, SensorStream
 from track_before_detect.ros.logs.library_log import LibraryLog
 from track_before_detect.ros.logs.throttled import ThrottledLog
 from track_before_detect.ros.managed_node import (
@@ -79,7 +91,9 @@ from track_before_detect.ros.worker import StreamResult, StreamWorker
 from track_before_detect.tracking.batcher import DEFAULT_LENGTH
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.presets import AUTO, PRESETS
-from track_before_detect.types import STATUSES
+from track_before_detect.tracking.sensor_pipeline import SensorPipeline
+from track_before_detect.tracking.sensors import seen_by, SensorPlane
+from track_before_detect.types import STATUSES, Trajectory
 
 INPUT_DEPTH = 20
 OUTPUT_DEPTH = 50
@@ -93,6 +107,9 @@ LIFETIME_BATCHES = 3.0
 STOP_TIMEOUT_S = 1.0
 
 RCLError, InvalidHandle = rclpy_implementation.RCLError, rclpy_implementation.InvalidHandle
+
+# Topic of frames, type of its messages, what reads one, and the number of the sensor.
+Source = tuple[str, type, Callable[[Any], StampedFrame], int]
 
 PARAMETERS = [
     NodeParameter(
@@ -135,6 +152,7 @@ PARAMETERS = [
     NodeParameter(
         'reliable', False, 'Whether to ask for lost frames to be sent again; a best-effort '
         'publisher is then not heard.', 'boolean'),
+    *SENSORS,
     *SCALE_PARAMETERS,
     AUTOSTART,
 ]
@@ -152,11 +170,14 @@ class DetectorNode(ManagedNode):
         As of :class:`ParameterizedNode`.
     """
 
+    _sensors: Sequence[SensorInput] = ()
+
     def __init__(self, name: str = 'detector', **settings: Any) -> None:
         super().__init__(name, PARAMETERS, **settings)
         self._lock = threading.Lock()
         self._shown: set[int] = set()
         self._last_header = Header()
+        self._frame_id = ''
         self._warnings = Warnings()
         self._reception = Reception()
         self._library_log = LibraryLog(self._warn)
@@ -231,14 +252,19 @@ class DetectorNode(ManagedNode):
         self._library_log.close()
         super().destroy_node()
 
+    def further_parameters(self, values: Mapping[str, Any]) -> list[NodeParameter]:
+        """Return the parameters of each of several sensors."""
+        return parameters_of(values['sensors'])
+
     def check_values(self, values: Mapping[str, Any], told: Set[str]) -> None:
         """Raise ParameterError when options do not go together, or not with the detector."""
+        self._sensors = self._sensors or sensor_inputs(values)
         request = StreamRequest(
             values['preset'],
             option_values(PARAMETERS, {name: values[name] for name in values.keys() & told}),
             max_gap_s=values['max_gap_s'] or None, queue_length=values['queue_length'] or None,
-            flush_after_s=values['flush_after_s'] or None)
-        TrackingPipeline(request.unseen.options)
+            flush_after_s=values['flush_after_s'] or None, several=bool(self._sensors))
+        self._make_pipeline(request.unseen.options, None)
         RadarScale.of(values)
         # Kept, so that the files that options name are not read again for what comes next.
         self._request = request
@@ -256,13 +282,27 @@ class DetectorNode(ManagedNode):
         values = self.values()
         shape = (values['frame_height'], values['frame_width'])
         rate = values['frame_rate_hz']
+        self._stream = None
+        if self._sensors:
+            names, shapes = zip(*((one.name, one.shape) for one in self._sensors), strict=True)
+            self._stream = SensorStream(names, shapes, values['sensor_wait_s'])
+            # Nothing is calibrated for a rate, so that any will do.
+            shape, rate = self._stream.shape, 1.0
         known = min(shape) > 0 and rate > 0.0
         return StreamWorker(
             self._request,
             expected_shape=shape if known else None,
             expected_interval_s=1.0 / rate if known else None,
             on_result=self._publish, on_reset=self._clear_markers, on_state=self._state_changed,
-            on_choice=self._choice_made, on_warning=self._warn)
+            on_choice=self._choice_made, on_warning=self._warn,
+            make_pipeline=self._make_pipeline, sensors=self._stream)
+
+    def _make_pipeline(self, options: DetectorOptions, earlier: Any) -> StreamPipeline:
+        """Return what searches the batches of one sensor, or of several together."""
+        if not self._sensors:
+            return TrackingPipeline(options, earlier)
+        views, shapes = zip(*((one.view, one.shape) for one in self._sensors), strict=True)
+        return SensorPipeline(SensorPlane(views, shapes, options), options, earlier)
 
     def _release(self) -> None:
         """Stop the worker and unsubscribe from frames."""
@@ -288,9 +328,9 @@ class DetectorNode(ManagedNode):
                     QoSOverridingOptions.with_default_policies())
 
     def _create_inputs(self) -> None:
-        for topic, kind, read in self._sources:
+        for topic, kind, read, sensor in self._sources:
             self._inputs.append(self.create_subscription(
-                kind, topic, partial(self._take, read), self._input_qos(),
+                kind, topic, partial(self._take, read, sensor), self._input_qos(),
                 event_callbacks=self._event_callbacks(topic),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies()))
 
@@ -298,18 +338,27 @@ class DetectorNode(ManagedNode):
         return self.create_lifecycle_publisher(
             kind, topic, OUTPUT_DEPTH, event_callbacks=self._output_events(topic))
 
-    def _frame_sources(self) -> list[tuple[str, type, Callable[[Any], StampedFrame]]]:
-        """Return the topics of frames, the type of each, and what reads a message of it."""
+    def _frame_sources(self) -> list[Source]:
+        """Return the topics of frames, type and reader of their messages, and the sensor."""
         values = self.values()
-        reader = FrameReader(
-            values['stamp_source'], (values['frame_height'], values['frame_width']),
-            self.get_clock(), self._warn)
-        arrays = ('frame', Float32MultiArray, reader.multiarray)
-        if values['image_transport'] == COMPRESSED:
-            # Beside the topic of the images wherever that is remapped to, as its senders have it.
-            return [(f'{self.resolve_topic_name("image")}/compressed', CompressedImage,
-                     reader.compressed_image), arrays]
-        return [('image', Image, reader.image), arrays]
+
+        def source(topic: str, message: str, reader: FrameReader, sensor: int) -> Source:
+            if message != IMAGE:
+                return topic, Float32MultiArray, reader.multiarray, sensor
+            if values['image_transport'] == COMPRESSED:
+                # Beside the topic of the images wherever that is remapped to, as senders have it.
+                return (f'{self.resolve_topic_name(topic)}/compressed', CompressedImage,
+                        reader.compressed_image, sensor)
+            return topic, Image, reader.image, sensor
+
+        def reader(shape: tuple[int, int]) -> FrameReader:
+            return FrameReader(values['stamp_source'], shape, self.get_clock(), self._warn)
+
+        if self._sensors:
+            return [source(one.topic, one.message, reader(one.shape), number)
+                    for number, one in enumerate(self._sensors)]
+        own = reader((values['frame_height'], values['frame_width']))
+        return [source(message, message, own, 0) for message in (IMAGE, FRAME)]
 
     def _create_outputs(self) -> None:
         self._markers = self._create_output(MarkerArray, 'trajectories/markers')
@@ -354,7 +403,7 @@ class DetectorNode(ManagedNode):
 
         return PublisherEventCallbacks(incompatible_qos=incompatible, use_default_callbacks=False)
 
-    def _take(self, read: Callable[[Any], StampedFrame], message: Any) -> None:
+    def _take(self, read: Callable[[Any], StampedFrame], sensor: int, message: Any) -> None:
         queue = self._worker.queue
         if not self._active:
             queue.drop_message()
@@ -365,7 +414,11 @@ class DetectorNode(ManagedNode):
             queue.refuse_message()
             self._warn('message', f'message refused: {error}')
             return
-        if queue.put(frame.pixels, frame.stamp_s, frame.header):
+        if not sensor:
+            self._frame_id = frame.header.frame_id
+        # What several sensors see is told in the coordinates of the first.
+        frame.header.frame_id = self._frame_id
+        if queue.put(frame.pixels, frame.stamp_s, frame.header, sensor):
             busy = ('searching cannot keep up' if self._worker.status.state == 'ready' else
                     f'frames come while the search is made ready ({self._worker.status.state})')
             self._warn('dropped', (
@@ -405,12 +458,21 @@ class DetectorNode(ManagedNode):
             self._send(self._paths, path)
         self._send(self._points, conversions.points_from_trajectories(trajectories, header))
         if self.context.ok() and self._overlay.get_subscription_count():
-            pixels = render_overlay(result.batch.frames[-1], trajectories)
+            pixels = render_overlay(*self._newest_frame(result))
             self._send(self._overlay, conversions.image_from_colours(pixels, header))
         if self.context.ok():
             for output, message in self._field_outputs.messages(
                     result, self._worker.status.options):
                 self._send(output, message)
+
+    def _newest_frame(self, result: StreamResult) -> tuple[NDArray, Sequence[Trajectory]]:
+        """Return the newest frame of a batch, and the trajectories in its pixels."""
+        frame, trajectories = result.batch.frames[-1], result.detection.trajectories
+        if result.batch.taken is None:
+            return frame, trajectories
+        number = int(result.batch.taken[-1, 0])
+        height, width = self._sensors[number].shape
+        return frame[:height, :width], seen_by(number, self._sensors[number].view, trajectories)
 
     def _send(self, publisher: Publisher, message: Any) -> None:
         try:
@@ -461,8 +523,15 @@ class DetectorNode(ManagedNode):
         """Warn of what is wrong around the node, log what was held back, say how it is."""
         topics = [topic for topic, *_ in self._sources]
         self._reception.n_senders = len(senders(self, topics))
-        for kind, text in neighbour_warnings(self, topics).items():
-            self._warn(kind, text)
+        for streams in [[topic] for topic in topics] if self._sensors else [topics]:
+            for kind, text in neighbour_warnings(self, streams).items():
+                self._warn(kind, text)
+        now_s = time.monotonic()
+        for sensor, count in self._sensor_counts().items():
+            if self._active and (silent_s := count.silent_s(now_s)):
+                since = f'for {silent_s:.1f} s' if count.received else 'so far'
+                self._warn(f'silent {sensor}', f'sensor {sensor} has sent nothing {since}; the '
+                           'others are searched without it')
         if (self.get_parameter('use_sim_time').value and not self.get_clock().now().nanoseconds
                 and time.monotonic() - self._began_s > CLOCK_TIMEOUT_S):
             self._warn('clock', 'use_sim_time is set, but no time came on /clock: is the bag '
@@ -478,4 +547,12 @@ class DetectorNode(ManagedNode):
             status.state, status.detail = lifecycle, ''
         self._send(self._diagnostics, diagnostics_message(
             self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(),
-            status, copy(queue.counters), len(queue), self._reception, self._warnings))
+            status, copy(queue.counters), len(queue), self._reception, self._warnings,
+            self._sensor_counts()))
+
+    def _sensor_counts(self) -> dict[str, SensorCount]:
+        """Return what came from each of several sensors, by name."""
+        if self._stream is None:
+            return {}
+        return {one.name: count
+                for one, count in zip(self._sensors, self._stream.counts, strict=True)}

@@ -12,6 +12,7 @@ from std_msgs.msg import Header
 
 from track_before_detect.options import describe, DetectorOptions
 from track_before_detect.ros.frame_queue import Counters
+from track_before_detect.ros.intake.sensor_stream import SensorCount
 from track_before_detect.ros.worker import Status
 
 WARNING_PERIOD_S = 5.0
@@ -63,8 +64,8 @@ def option_words(options: DetectorOptions) -> str:
 
 
 def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counters,
-                        n_waiting: int, reception: Reception, warnings: Warnings
-                        ) -> DiagnosticArray:
+                        n_waiting: int, reception: Reception, warnings: Warnings,
+                        sensors: Mapping[str, SensorCount] | None = None) -> DiagnosticArray:
     """Return the state of the search with all counters.
 
     Parameters
@@ -83,6 +84,8 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
         Of the subscriptions.
     warnings : Warnings
         A recent one is the message as a whole.
+    sensors : mapping, optional
+        Of several sensors by name.
     """
     level = DiagnosticStatus.OK
     message = f'{status.state}: {status.detail}' if status.detail else status.state
@@ -117,6 +120,10 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
         'failures': counters.failures,
         'last_warning': warnings.last,
     }
+    for sensor, count in (sensors or {}).items():
+        values |= {
+            f'{sensor}.frames_received': count.received, f'{sensor}.frames_late': count.late,
+            f'{sensor}.silent_s': f'{count.silent_s(time.monotonic()):.1f}'}
     return status_message(name, stamp, level, message, values)
 
 

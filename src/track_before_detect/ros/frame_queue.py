@@ -35,6 +35,8 @@ class StreamFrame:
         Monotonic clock at intake.
     index : int
         Number of the frame in the stream.
+    sensor : int
+        Which of several sensors took it.
     """
 
     pixels: NDArray
@@ -42,6 +44,7 @@ class StreamFrame:
     tag: Any
     arrival_s: float
     index: int
+    sensor: int = 0
 
 
 @dataclass(frozen=True)
@@ -80,6 +83,8 @@ class StreamRequest:
         Names and values of options.
     max_gap_s, queue_length, flush_after_s
         See :class:`StreamSettings`; None is automatic.
+    several : bool
+        Whether frames come from several sensors, of which none is looked at.
     """
 
     preset: str
@@ -87,16 +92,17 @@ class StreamRequest:
     max_gap_s: float | None = None
     queue_length: int | None = None
     flush_after_s: float | None = None
+    several: bool = False
 
     @property
     def looks(self) -> bool:
         """Whether frames have to be seen before all is chosen."""
-        return self.preset == AUTO
+        return self.preset == AUTO and not self.several
 
     @cached_property
     def unseen(self) -> Choice:
         """What is known without a frame, raising ParameterError for what cannot be."""
-        return self._choose(NONE if self.looks else self.preset, np.empty((0, 0, 0)))
+        return self._choose(NONE if self.preset == AUTO else self.preset, np.empty((0, 0, 0)))
 
     def chosen(self, frames: NDArray) -> Choice:
         """Return options for a stream that begins with frames (T, H, W), none automatic."""
@@ -109,7 +115,7 @@ class StreamRequest:
             length = hop = min(FRAMES_SEEN, settings.batch_length)
         else:
             length, hop = settings.batch_length, settings.hop
-        return SlidingWindow(length, hop, settings.max_gap_s)
+        return SlidingWindow(length, hop, settings.max_gap_s, self.several)
 
     def settings(self, options: DetectorOptions) -> StreamSettings:
         """Return how the stream is cut and buffered for options that were chosen."""
@@ -182,11 +188,11 @@ class FrameQueue:
     def __len__(self) -> int:
         return len(self._frames)
 
-    def put(self, pixels: NDArray, stamp_s: float, tag: Any) -> int:
+    def put(self, pixels: NDArray, stamp_s: float, tag: Any, sensor: int = 0) -> int:
         """Take in one frame, shape (H, W); return how many were dropped to make room."""
         with self._changed:
             self._frames.append(StreamFrame(
-                pixels, stamp_s, tag, time.monotonic(), self.counters.received))
+                pixels, stamp_s, tag, time.monotonic(), self.counters.received, sensor))
             self.counters.received += 1
             n_dropped = max(0, len(self._frames) - self.length)
             for _ in range(n_dropped):

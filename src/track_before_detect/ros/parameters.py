@@ -39,7 +39,7 @@ class NodeParameter:
     ----------
     name, default, description, unit
         What a user sees.
-    kind : {'number', 'integer', 'numbers', 'text', 'boolean', 'array'}
+    kind : {'number', 'integer', 'numbers', 'text', 'texts', 'boolean', 'array'}
         Decides the ROS type; an array is the text that names its file.
     minimum, maximum, above : float, optional
         Inclusive bounds, and an exclusive lower one.
@@ -79,8 +79,15 @@ class NodeParameter:
             if not isinstance(value, bool):
                 raise ParameterError(f'{self.name} must be true or false, got {value!r}')
             return value
-        if self.kind == 'text':
+        if self.kind in ('text', 'array'):
             return self._check_text(value)
+        if self.kind in ('texts', 'numbers'):
+            # An empty list has no type, and comes as nothing.
+            items = [] if value is None else value
+            if not isinstance(items, (list, tuple)):
+                raise ParameterError(f'{self.name} must be a list, got {value!r}')
+            return [self._check_text(item) if self.kind == 'texts'
+                    else checked_number(self.name, item) for item in items]
         return checked_number(self.name, value, whole=self.kind == 'integer', above=self.above,
                               minimum=self.minimum, maximum=self.maximum, unit=self.unit)
 
@@ -203,13 +210,12 @@ class ParameterizedNode(Node):
         self._table = {parameter.name: parameter for parameter in parameters}
         # Names of the parameters that were given a value, be it the default.
         self._told = self._table.keys() & self._parameter_overrides.keys()
-        values = {}
-        for parameter in parameters:
-            override = self._parameter_overrides.get(parameter.name)
-            given = parameter.default if override is None else _plain(override.value)
-            values[parameter.name] = parameter.check(given)
+        values = self._overridden(parameters)
+        more = self.further_parameters(values)
+        values.update(self._overridden(more))
+        self._table.update({parameter.name: parameter for parameter in more})
         self.check_values(values, self._told)
-        for parameter in parameters:
+        for parameter in self._table.values():
             # The override was checked above and may have been turned from 1 to 1.0.
             self.declare_parameter(
                 parameter.name, values[parameter.name], parameter.descriptor(),
@@ -218,6 +224,19 @@ class ParameterizedNode(Node):
     def values(self) -> dict[str, Any]:
         """Return the value of every parameter of the table."""
         return {name: _plain(self.get_parameter(name).value) for name in self._table}
+
+    def further_parameters(self, values: Mapping[str, Any]) -> list[NodeParameter]:
+        """Return parameters that there are because others have these values."""
+        return []
+
+    def _overridden(self, parameters: Iterable[NodeParameter]) -> dict[str, Any]:
+        """Return the values of parameters at the start."""
+        values = {}
+        for parameter in parameters:
+            override = self._parameter_overrides.get(parameter.name)
+            given = parameter.default if override is None else _plain(override.value)
+            values[parameter.name] = parameter.check(given)
+        return values
 
     def check_values(self, values: Mapping[str, Any], told: Set[str]) -> None:
         """Raise ParameterError when values do not go together; ``told`` names those given."""

@@ -4,7 +4,7 @@ No ROS types in here.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 import logging
 import threading
 import time
@@ -13,10 +13,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import TbdError
+from track_before_detect.errors import DataError, TbdError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.ros.beside import Beside, MakePipeline, Prepared, Wanted
+from track_before_detect.ros.beside import (
+    Beside,
+    MakePipeline,
+    Prepared,
+    StreamPipeline,
+    Wanted,
+)
 from track_before_detect.ros.frame_queue import FrameQueue, StreamFrame, StreamRequest
+from track_before_detect.ros.intake.sensor_stream import SensorStream
 from track_before_detect.tracking.batcher import Intake, Outcome
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.presets import Choice
@@ -43,7 +50,7 @@ class StreamResult:
     tags : dict
         Frame index to the tag given at intake.
     interval_s : float
-        Median time between the frames of the batch, 0 when there is only one.
+        Mean time between the frames of the batch, 0 when there is only one.
     hop : int
         Frames from this batch to the next.
     """
@@ -104,6 +111,8 @@ class StreamWorker:
         Takes a kind, for throttling, and a sentence.
     make_pipeline : callable
         Takes options and the pipeline before, or None; returns what searches the batches.
+    sensors : SensorStream, optional
+        Puts the frames of several sensors in order.
 
     Attributes
     ----------
@@ -121,7 +130,8 @@ class StreamWorker:
                  on_state: Callable[[], None],
                  on_choice: Callable[[], None],
                  on_warning: Callable[[str, str], None],
-                 make_pipeline: MakePipeline = TrackingPipeline) -> None:
+                 make_pipeline: MakePipeline = TrackingPipeline,
+                 sensors: SensorStream | None = None) -> None:
         self.queue = FrameQueue(request.settings(request.unseen.options).queue_length)
         self.status = Status()
         self._counters = self.queue.counters
@@ -131,6 +141,7 @@ class StreamWorker:
         self._on_choice = on_choice
         self._on_warning = on_warning
         self._make_pipeline = make_pipeline
+        self._sensors = sensors
         self._request = request
         self._expected = (expected_shape, expected_interval_s)
         self._options = request.unseen.options
@@ -175,7 +186,7 @@ class StreamWorker:
         try:
             self._prepare_or_wait(*self._expected)
             self._first_prepared.set()
-            while (work := self.queue.take(self._idle_time_left())) is not None:
+            while (work := self.queue.take(self._time_left())) is not None:
                 if work.prepared is not None:
                     self._switch(work.prepared)
                 elif work.request is not None:
@@ -184,6 +195,9 @@ class StreamWorker:
                     self._take(work.frame)
                 elif work.flush or self._idle_time_left() == 0.0:
                     self._flush()
+                if self._sensors is not None and not len(self.queue):
+                    for frame in self._sensors.due(time.monotonic()):
+                        self._add(frame)
         except _StopRequestedError:
             pass
         except Exception:
@@ -193,6 +207,15 @@ class StreamWorker:
             raise
         finally:
             self._first_prepared.set()
+
+    def _time_left(self) -> float | None:
+        """Return the seconds until something is to be done without a new frame."""
+        idle = self._idle_time_left()
+        deadline = self._sensors.deadline_s if self._sensors is not None else None
+        if deadline is None:
+            return idle
+        waits = max(0.0, deadline - time.monotonic())
+        return waits if idle is None else min(idle, waits)
 
     def _idle_time_left(self) -> float | None:
         """Return the seconds until held frames are searched without waiting for more."""
@@ -205,12 +228,25 @@ class StreamWorker:
         return max(0.0, self._last_arrival_s + idle - time.monotonic())
 
     def _take(self, frame: StreamFrame) -> None:
-        """Add a frame to the window, and search the batch that this completes."""
+        """Take a frame; those of several sensors wait for one another."""
         self._last_arrival_s = time.monotonic()
         if not np.isfinite(frame.pixels).any():
             self.queue.refuse()
             self._on_warning('not finite', 'expected finite pixels, found none in the frame')
             return
+        if self._sensors is None:
+            self._add(frame)
+            return
+        try:
+            in_order = self._sensors.add(frame)
+        except DataError as error:
+            self._refuse(f'frame refused: {error}')
+            return
+        for one in in_order:
+            self._add(one)
+
+    def _add(self, frame: StreamFrame) -> None:
+        """Add a frame to the window, and search the batch that this completes."""
         self._held[frame.index] = frame
         intake = self._window.add(frame.pixels, frame.stamp_s, frame.index)
         if intake.left_out:
@@ -258,6 +294,8 @@ class StreamWorker:
 
     def _flush(self) -> None:
         """Search the frames that were in no batch yet; a look comes before."""
+        for frame in self._sensors.release() if self._sensors is not None else ():
+            self._add(frame)
         while (batch := self._window.flush()) is not None:
             self._search(batch)
 
@@ -291,7 +329,7 @@ class StreamWorker:
             self._set_state('failed', f'choosing options failed: {error}')
             return None
 
-    def _adopt(self, choice: Choice, pipeline: TrackingPipeline | None = None) -> bool:
+    def _adopt(self, choice: Choice, pipeline: StreamPipeline | None = None) -> bool:
         """Search with other options from now on; return whether they are others."""
         others = choice.options != self._options
         news = others or choice.reasons != self.status.reasons
@@ -317,6 +355,9 @@ class StreamWorker:
             return
         if self._prepared_for != shape and not self._prepare(shape, interval_s):
             return
+        if self._sensors is not None:
+            batch = replace(batch, taken=np.array([
+                (self._held[index].sensor, index) for index in batch.frame_indices.tolist()]))
         started = time.monotonic()
         self.status.searching = True
         try:
@@ -339,7 +380,8 @@ class StreamWorker:
         tags = {index: frame.tag for index, frame in frames.items()}
         try:
             self._on_result(StreamResult(
-                detection, batch, tags, interval_s, self._settings.hop))
+                detection, batch, tags,
+                float(np.ptp(batch.stamps)) / max(1, len(batch) - 1), self._settings.hop))
         except Exception as error:
             self._failed('the result could not be handed on', error)
         finished = time.monotonic()
@@ -455,7 +497,7 @@ class StreamWorker:
         self._set_ready()
 
     def _use(self, request: StreamRequest, choice: Choice,
-             pipeline: TrackingPipeline | None = None) -> bool:
+             pipeline: StreamPipeline | None = None) -> bool:
         """Search what is asked for with options; return whether they are others than before."""
         window = request.window(None if self._looking else choice.options)
         if (window.length, window.hop, window.max_gap_s) != (

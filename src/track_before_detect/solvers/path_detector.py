@@ -1,6 +1,7 @@
 """What the detectors that search a state graph share: from a batch to paths and back."""
 
 from abc import abstractmethod
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 import logging
@@ -25,6 +26,7 @@ from track_before_detect.solvers.batch_detector import (
     EarlierPaths,
     FoundTrajectory,
     max_speed,
+    SAME_INTERVAL,
 )
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.calibration.path_noise import path_noise_study
@@ -50,6 +52,9 @@ from track_before_detect.types import FrameBatch, Progress, Step
 # Longest streak over that of a target at the largest speed: velocities between frames differ from
 # those of the search.
 LONGER_STREAK = 1.1
+# Least share of the frames of a batch that come from the same sensors as in one whose calibration
+# it shares (docs/constants/calibration.md).
+SAME_FRAMES = 0.5
 
 _LOG = logging.getLogger(__name__)
 
@@ -97,8 +102,8 @@ class PathDetector(BatchDetector):
     options : DetectorOptions
         Motion, PSF, amplitudes and threshold.
     measurement : MeasurementModel, optional
-        How all frames of a recording, by their ``frame_indices``, see a common plane; without it
-        every frame comes from one sensor, in its own pixels.
+        How each of several sensors sees a common plane: batches say which of them took which
+        frame. Without it every frame comes from one sensor, in its own pixels.
     """
 
     # Best paths of noise whose positions are refined.
@@ -115,6 +120,8 @@ class PathDetector(BatchDetector):
         self._told_bytes = 0
         self._graphs = GraphBuilder(options, self.model, self.presence, self._most_bytes)
         self._search: tuple[tuple, PathSearch] | None = None
+        # Duration, frames of each sensor, and threshold of what was calibrated.
+        self._of_sensors: list[tuple[float, Counter[int], float]] = []
         self._has_searched = False
 
     def graph(self, stamps: NDArray, shape: tuple[int, int]) -> StateGraph:
@@ -135,9 +142,9 @@ class PathDetector(BatchDetector):
             task = self.task(batch, None, weights, earlier, progress)
             if self.passes_everywhere(task):
                 return self.result(task, [], 'not_noise', [])
-        measurement = self._measurement(batch.stamps, batch.frame_indices)
+        measurement = self._measurement(batch.stamps, batch.taken)
         shape = measurement.plane_shape(batch.frames.shape[1:])
-        threshold = self._threshold(batch.stamps, measurement, shape, progress)
+        threshold = self._threshold(batch, measurement, shape, progress)
         self._has_searched = True
         task = self.task(batch, threshold, weights, earlier, progress)
         if self.passes_everywhere(task):
@@ -151,7 +158,7 @@ class PathDetector(BatchDetector):
         Without a threshold, with one that no calibration exceeds.
         """
         stamps = batch.stamps
-        measurement = self._measurement(stamps, batch.frame_indices)
+        measurement = self._measurement(stamps, batch.taken)
         shape = measurement.plane_shape(batch.frames.shape[1:])
         graph = self._graph(stamps, measurement, shape)
         columns = columns_of(self.options, measurement, shape[1], graph)
@@ -221,13 +228,22 @@ class PathDetector(BatchDetector):
         margin = doppler_columns(self.options, measurement, shape[1]).margin
         return self._graphs.graph(stamps, measurement, shape, margin)
 
-    def _threshold(self, stamps: NDArray, measurement: MeasurementModel, shape: tuple[int, int],
-                   progress: Progress | None) -> float:
-        if self.options.threshold is not None or not measurement.exact_times:
+    def _threshold(self, batch: FrameBatch, measurement: MeasurementModel,
+                   shape: tuple[int, int], progress: Progress | None) -> float:
+        stamps, taken = batch.stamps, batch.taken
+        if self.options.threshold is not None or taken is None:
             return self.threshold(stamps, shape, progress)
-        # The moments of several sensors matter, and which of them looked.
-        return threshold_for(self._noise_study(stamps, measurement, shape), shape,
-                             self.options.false_alarm_rate, progress)
+        # Which of several sensors looked matters, and how fast, but no more than a little the
+        # moments: as for one sensor, a calibration for each pattern would stop a stream.
+        lasts, counts = float(np.ptp(stamps)), Counter(taken[:, 0].tolist())
+        for known_lasts, known, threshold in self._of_sensors:
+            if ((counts & known).total() >= SAME_FRAMES * max(counts.total(), known.total())
+                    and abs(lasts - known_lasts) <= SAME_INTERVAL * known_lasts):
+                return threshold
+        threshold = threshold_for(self._noise_study(stamps, measurement, shape), shape,
+                                  self.options.false_alarm_rate, progress)
+        self._of_sensors.append((lasts, counts, threshold))
+        return threshold
 
     def _noise_study(self, stamps: NDArray, measurement: MeasurementModel,
                      shape: tuple[int, int]) -> NoiseStudy:
@@ -246,14 +262,11 @@ class PathDetector(BatchDetector):
         return path_noise_study(type(self).__name__, graph, measurement, columns, self.scale,
                                 searcher, self.refined_in_noise)
 
-    def _measurement(self, stamps: NDArray,
-                     frame_indices: NDArray | None = None) -> MeasurementModel:
-        """Return what a target looks like in frames taken at ``stamps``."""
+    def _measurement(self, stamps: NDArray, taken: NDArray | None = None) -> MeasurementModel:
+        """Return what a target looks like in frames taken at ``stamps``, by which sensor."""
         exposure = self.options.exposure_s
         if not exposure or len(stamps) == 1:
-            if frame_indices is None:
-                return self.measurement
-            return self.measurement.slice(frame_indices)
+            return self.measurement if taken is None else self.measurement.slice(taken[:, 0])
         interval = median_interval(stamps)
         if exposure > interval:
             raise ParameterError(

@@ -104,9 +104,13 @@ class SlidingWindow:
     max_gap_s : float, optional
         Longest pause between two frames of a batch, in seconds. Automatic is the duration of
         ``length`` median intervals.
+    several : bool
+        Whether the frames are those of several sensors, already in order: stamps may repeat, and
+        intervals differ by rule, so that a gap is known by their mean once many are.
     """
 
-    def __init__(self, length: int, hop: int, max_gap_s: float | None = None):
+    def __init__(self, length: int, hop: int, max_gap_s: float | None = None,
+                 several: bool = False):
         if length < 1:
             raise ParameterError(f'the length of a window must be at least 1 frame, got {length}')
         if not 1 <= hop <= length:
@@ -117,6 +121,7 @@ class SlidingWindow:
         self.length = length
         self.hop = hop
         self.max_gap_s = max_gap_s
+        self._several = several
         self._frames: deque[NDArray] = deque(maxlen=length)
         self._stamps: deque[float] = deque(maxlen=length)
         self._indices: deque[int] = deque(maxlen=length)
@@ -168,7 +173,7 @@ class SlidingWindow:
         if not self._frames:
             return self._accept(Outcome.ACCEPTED, pixels, stamp_s, frame_index)
         newest, oldest = self._stamps[-1], self._stamps[0]
-        if stamp_s == newest:
+        if stamp_s == newest and not self._several:
             return Intake(Outcome.REFUSED, reason=(
                 f'expected a stamp after {newest:.6f} s, found the same one again '
                 '(is header.stamp filled in?)'))
@@ -177,7 +182,8 @@ class SlidingWindow:
                       f'{_size(pixels.shape)}')
             return self._restart(Outcome.SIZE_CHANGE, reason, pixels, stamp_s, frame_index)
         if stamp_s < newest:
-            goes_on = waiting is not None and waiting[1] < stamp_s
+            goes_on = waiting is not None and (
+                waiting[1] < stamp_s or self._several and waiting[1] == stamp_s)
             if stamp_s > oldest and not goes_on:
                 return Intake(Outcome.REFUSED, reason=(
                     f'expected a stamp after {newest:.6f} s, found one '
@@ -215,6 +221,9 @@ class SlidingWindow:
     def _longest_gap(self) -> float | None:
         if self.max_gap_s is not None:
             return self.max_gap_s
+        if self._several:
+            known = len(self._intervals) == self._intervals.maxlen
+            return self.length * float(np.mean(self._intervals)) if known else None
         # A single interval may itself be the gap.
         if len(self._intervals) < 2:
             return None
@@ -225,7 +234,7 @@ class SlidingWindow:
 
         A camera whose first stamp is zero, or from before its clock was set, is an example.
         """
-        if self.max_gap_s is not None or len(self._intervals) != 1:
+        if self.max_gap_s is not None or self._several or len(self._intervals) != 1:
             return None
         first = self._intervals[0]
         longest = max(SHORTEST_FIRST_GAP_S, self.length * interval_s)

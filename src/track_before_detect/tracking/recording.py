@@ -53,7 +53,8 @@ class BatchPipeline(Protocol):
 
 def batches(recording: FrameSequence, parts: Sequence[NDArray[np.int64]],
             stamps: NDArray[np.float64], length: int, hop: int,
-            repeats: Callable[[NDArray], bool] = lambda frame: False) -> Iterator[FrameBatch]:
+            repeats: Callable[[NDArray], bool] = lambda frame: False,
+            taken: NDArray[np.int64] | None = None) -> Iterator[FrameBatch]:
     """Yield the overlapping batches of a recording; the last of each part ends with its end.
 
     Parameters
@@ -68,6 +69,8 @@ def batches(recording: FrameSequence, parts: Sequence[NDArray[np.int64]],
         Frames of a batch, and from one to the next.
     repeats : callable
         Told each frame, says whether it holds nothing new and is passed over.
+    taken : array of int, shape (T, 2), optional
+        Which of several sensors took each frame, see :class:`FrameBatch`.
     """
     for part in parts:
         held: deque[tuple[int, NDArray]] = deque(maxlen=length)
@@ -80,9 +83,9 @@ def batches(recording: FrameSequence, parts: Sequence[NDArray[np.int64]],
             n_new += 1
             if len(held) == length and n_new >= hop:
                 n_new = 0
-                yield _batch(held, stamps)
+                yield _batch(held, stamps, taken)
         if n_new:
-            yield _batch(held, stamps)
+            yield _batch(held, stamps, taken)
 
 
 def length_and_hop(n_frames: int, options: DetectorOptions) -> tuple[int, int]:
@@ -100,9 +103,11 @@ def parts_of(stamps: NDArray[np.float64],
     return pieces(stamps, length * median_interval(stamps[increasing]))
 
 
-def _batch(held: Iterable[tuple[int, NDArray]], stamps: NDArray[np.float64]) -> FrameBatch:
+def _batch(held: Iterable[tuple[int, NDArray]], stamps: NDArray[np.float64],
+           taken: NDArray[np.int64] | None) -> FrameBatch:
     indices = np.array([index for index, _ in held])
-    return FrameBatch(np.stack([frame for _, frame in held]), stamps[indices], indices)
+    return FrameBatch(np.stack([frame for _, frame in held]), stamps[indices], indices,
+                      taken=None if taken is None else taken[indices])
 
 
 def detect_recording(recording: FrameSequence, options: DetectorOptions,
@@ -143,7 +148,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         cut = batches(recording, parts, stamps, length, hop, repeated.repeats)
     else:
         remarks = []
-        cut = batches(recording, [np.arange(n_frames)], stamps, length, hop)
+        cut = batches(recording, [np.arange(n_frames)], stamps, length, hop,
+                      taken=getattr(recording, 'taken', None))
     remarks = [*getattr(recording, 'remarks', []), *remarks]
     for remark in remarks:
         # Said before the search: it may fail for the same reason.

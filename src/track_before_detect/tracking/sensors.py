@@ -1,7 +1,7 @@
 """Several sensors that look at one plane, searched together."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from track_before_detect.models.measurement.multi_sensor import MultiSensor
 from track_before_detect.models.measurement.psf import ArrayPsf, GaussianPsf, Psf
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
+from track_before_detect.types import Trajectory
 
 # A plane of more pixels than all frames of a moment together, this many times, comes from maps in
 # which the sensors look at different places.
@@ -57,6 +58,50 @@ class Sensor:
     mask: ArrayLike | None = None
 
 
+class SensorPlane:
+    """What several sensors see together, apart from their frames.
+
+    Parameters
+    ----------
+    sensors : sequence of Sensor
+        At least one; their frames are not looked at.
+    shapes : sequence of (int, int)
+        (H, W) of each sensor's frames.
+    options : DetectorOptions
+        Their PSF is that of sensors without one of their own.
+
+    Attributes
+    ----------
+    measurement : MultiSensor
+        How each sensor sees the plane, whose (0, 0) is ``origin``.
+    noise_sigmas : tuple of float
+        Standard deviation of the noise of each sensor.
+    variances, masks : tuple of ArrayOption or None
+        What is known of the pixels of each sensor.
+    origin : array, shape (2,)
+        x and y on the common plane of the first position that is searched.
+    """
+
+    def __init__(self, sensors: Sequence[Sensor], shapes: Sequence[tuple[int, int]],
+                 options: DetectorOptions):
+        psfs = tuple(_psf(n, sensor, options) for n, sensor in enumerate(sensors))
+        self.variances, self.masks = (tuple(
+            _array(n, name, getattr(sensor, name)) for n, sensor in enumerate(sensors))
+            for name in ('variance', 'mask'))
+        self.noise_sigmas = tuple(
+            checked_number(f'noise_sigma of sensor {n}', sensor.noise_sigma, above=0.0)
+            for n, sensor in enumerate(sensors))
+        to_plane = np.array([_to_plane(n, sensor) for n, sensor in enumerate(sensors)])
+        self.origin, shape = _plane(to_plane, shapes)
+        maps = geometry.inverse(to_plane) @ geometry.translations(self.origin[None])
+        self.measurement = MultiSensor(psfs, tuple(shapes), np.arange(len(sensors)), maps, shape)
+
+    @property
+    def shapes(self) -> tuple[tuple[int, int], ...]:
+        """(H, W) of each sensor's frames."""
+        return self.measurement.shapes
+
+
 class SensorArray:
     """The frames of all sensors in the order of their stamps, offered as one recording.
 
@@ -74,20 +119,10 @@ class SensorArray:
     ----------
     stamps : array, shape (T,)
         Seconds, of all frames.
-    sensor, row : array of int, shape (T,)
+    taken : array of int, shape (T, 2)
         Number of the sensor that took each frame, and of the frame among its own.
-    measurement : MultiSensor
-        How all frames see the plane, whose (0, 0) is ``origin``.
-    dtype : dtype
-        float32 or complex64, of all frames.
-    noise_sigmas : tuple of float
-        Standard deviation of the noise of each sensor.
-    variances, masks : tuple of ArrayOption or None
-        What is known of the pixels of each sensor.
-    shapes : tuple of (int, int)
-        (H, W) of each sensor's frames.
-    origin : array, shape (2,)
-        x and y on the common plane of the first position that is searched.
+    plane : SensorPlane
+        What the sensors see together.
     """
 
     def __init__(self, sensors: Sequence[Sensor], options: DetectorOptions):
@@ -98,51 +133,58 @@ class SensorArray:
                         for n, sensor in enumerate(sensors)]
         stamps = [checked_stamps(sensor.stamps, len(frames), f'stamps of sensor {n}')
                   for n, (sensor, frames) in enumerate(zip(sensors, self._frames, strict=True))]
-        kinds = {np.iscomplexobj(frames) for frames in self._frames}
-        if len(kinds) > 1:
+        if len({np.iscomplexobj(frames) for frames in self._frames}) > 1:
             raise DataError('sensors must all hold real frames or all complex ones, got both')
-        self.dtype = np.dtype(np.complex64 if True in kinds else np.float32)
-        psfs = tuple(_psf(n, sensor, options) for n, sensor in enumerate(sensors))
-        self.variances, self.masks = (tuple(
-            _array(n, name, getattr(sensor, name)) for n, sensor in enumerate(sensors))
-            for name in ('variance', 'mask'))
-        self.noise_sigmas = tuple(
-            checked_number(f'noise_sigma of sensor {n}', sensor.noise_sigma, above=0.0)
-            for n, sensor in enumerate(sensors))
-        self.shapes = tuple(frames.shape[1:] for frames in self._frames)
-        to_plane = np.array([_to_plane(n, sensor) for n, sensor in enumerate(sensors)])
+        self.plane = SensorPlane(sensors, [frames.shape[1:] for frames in self._frames], options)
         order = np.argsort(np.concatenate(stamps), kind='stable')
         self.stamps = np.concatenate(stamps)[order]
-        self.sensor = np.repeat(np.arange(len(sensors)), [len(own) for own in stamps])[order]
-        self.row = np.concatenate([np.arange(len(own)) for own in stamps])[order]
-        self.origin, shape = self._plane(to_plane)
-        maps = geometry.inverse(to_plane) @ geometry.translations(self.origin[None])
-        self.measurement = MultiSensor(psfs, self.shapes, self.sensor, maps[self.sensor], shape)
+        self.taken = np.array([
+            (n, row) for n, own in enumerate(stamps) for row in range(len(own))])[order]
+
+    @property
+    def measurement(self) -> MultiSensor:
+        """How each frame sees the plane."""
+        return self.plane.measurement.slice(self.taken[:, 0])
 
     def __len__(self) -> int:
         return len(self.stamps)
 
     def __getitem__(self, index: int) -> NDArray:
-        frame = self._frames[self.sensor[index]][self.row[index]]
-        padded = np.full(np.max(self.shapes, axis=0), np.nan, self.dtype)
-        padded[:frame.shape[0], :frame.shape[1]] = frame
-        return padded
+        sensor, row = self.taken[index]
+        return padded(self._frames[sensor][row], self.plane.shapes)
 
-    def _plane(self, to_plane: NDArray) -> tuple[NDArray[np.float64], tuple[int, int]]:
-        """Return the first corner x, y and the size (H, W) of what the sensors see together."""
-        corners = []
-        for matrix, (height, width) in zip(to_plane, self.shapes, strict=True):
-            own = np.array([(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)])
-            corners.append(geometry.apply(matrix, own))
-        first = np.floor(np.min(corners, axis=(0, 1)) + 1e-6)
-        width, height = np.ceil(np.max(corners, axis=(0, 1)) - 1e-6) - first + 1
-        seen = sum(abs(np.linalg.det(matrix[:2, :2])) * shape[0] * shape[1]
-                   for matrix, shape in zip(to_plane, self.shapes, strict=True))
-        if width * height > MOST_PLANE_PER_SENSORS * seen:
-            raise DataError(
-                f'the sensors see {seen:.3g} pixels of a plane of {width:.9g} x {height:.9g}: '
-                'their affine maps must lead to places near each other')
-        return first, (int(height), int(width))
+
+def _plane(to_plane: NDArray, shapes: Sequence[tuple[int, int]],
+           ) -> tuple[NDArray[np.float64], tuple[int, int]]:
+    """Return the first corner x, y and the size (H, W) of what the sensors see together."""
+    corners = []
+    for matrix, (height, width) in zip(to_plane, shapes, strict=True):
+        own = np.array([(0, 0), (width - 1, 0), (0, height - 1), (width - 1, height - 1)])
+        corners.append(geometry.apply(matrix, own))
+    first = np.floor(np.min(corners, axis=(0, 1)) + 1e-6)
+    across, down = np.ceil(np.max(corners, axis=(0, 1)) - 1e-6) - first + 1
+    seen = sum(abs(np.linalg.det(matrix[:2, :2])) * shape[0] * shape[1]
+               for matrix, shape in zip(to_plane, shapes, strict=True))
+    if across * down > MOST_PLANE_PER_SENSORS * seen:
+        raise DataError(
+            f'the sensors see {seen:.3g} pixels of a plane of {across:.9g} x {down:.9g}: '
+            'their affine maps must lead to places near each other')
+    return first, (int(down), int(across))
+
+
+def padded(frame: NDArray, shapes: Sequence[tuple[int, int]]) -> NDArray:
+    """Return a frame of any of the sensors, padded with NaN to the size of the largest."""
+    whole = np.full(np.max(shapes, axis=0), np.nan,
+                    np.complex64 if np.iscomplexobj(frame) else np.float32)
+    whole[:frame.shape[0], :frame.shape[1]] = frame
+    return whole
+
+
+def seen_by(number: int, sensor: Sensor,
+            trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return trajectories of the plane with their positions in the pixels of a sensor."""
+    back = geometry.inverse(_to_plane(number, sensor))
+    return [replace(one, positions=geometry.apply(back, one.positions)) for one in trajectories]
 
 
 def _check_kind(sensors: Any) -> None:
