@@ -19,6 +19,10 @@ class DataError(TbdError, ValueError):
     """Input data (an array, a file, a message) cannot be used."""
 
 
+class TooFewFramesError(DataError):
+    """A step of preprocessing cannot do with so few frames."""
+
+
 class MissingExtraError(TbdError, ImportError):
     """An optional dependency is needed for what was asked and is not installed."""
 

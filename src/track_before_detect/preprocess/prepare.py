@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.checks import check_kind, checked_frames
-from track_before_detect.errors import DataError
+from track_before_detect.errors import DataError, TooFewFramesError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.amplitude_scale import nearly_gaussian, recognised_scale
 from track_before_detect.preprocess.background import (
@@ -248,7 +248,7 @@ def _check_options(options: DetectorOptions, prepared: PreparedBatch) -> None:
     check_kind(prepared.frames, options.amplitudes)
     least, step = _least_frames(options)
     if len(prepared) < least:
-        raise DataError(f'{step} needs at least {least} frames, got {len(prepared)}')
+        raise TooFewFramesError(f'{step} needs at least {least} frames, got {len(prepared)}')
 
 
 def _least_frames(options: DetectorOptions) -> tuple[int, str]:

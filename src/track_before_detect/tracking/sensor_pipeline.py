@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from track_before_detect import geometry
 from track_before_detect.capabilities import check_options
-from track_before_detect.errors import DataError
+from track_before_detect.errors import DataError, TooFewFramesError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.prepare import prepare, PreparedBatch
 from track_before_detect.solvers.batch_detector import FoundTrajectory
@@ -114,7 +114,7 @@ class SensorPipeline:
         units = np.full(batch.frames.shape, np.nan, np.float32)
         weights = np.zeros(batch.frames.shape, np.float32)
         remarks: list[str] = []
-        refused: DataError | None = None
+        refused: TooFewFramesError | None = None
         for sensor in np.unique(of_frame):
             rows = np.flatnonzero(of_frame == sensor)
             if not np.isfinite(batch.frames[rows]).any():
@@ -122,8 +122,8 @@ class SensorPipeline:
                 continue
             try:
                 own = self._prepared_of(batch, rows, int(sensor))
-            except DataError as error:
-                # Such as too few frames for a background; the others go on.
+            except TooFewFramesError as error:
+                # It has begun or ended to send; the others go on.
                 refused = error
                 remarks += self._remarks.new([Remark(
                     f'{sensor} left out', f'sensor {sensor}: {error}; its frames are left out')])
