@@ -27,6 +27,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
 from track_before_detect.recordings.overlay import colour_of
+from track_before_detect.ros.outputs.head import HeadTarget
 from track_before_detect.types import Trajectory
 
 ENCODING_OF_DTYPE = {'uint8': 'mono8', 'uint16': 'mono16', 'float32': '32FC1', 'float64': '64FC1'}
@@ -37,6 +38,11 @@ POINT_DTYPE = np.dtype({
               'cov_xy', 'var_y'],
     'formats': ['<f4', '<f4', '<f4', '<f8', '<i4', *['<f4'] * 8],
     'offsets': [0, 4, 8, 16, 12, *range(24, 56, 4)], 'itemsize': 56})
+# Targets of one moment: the same, and what is known of each.
+HEAD_DTYPE = np.dtype({
+    'names': [*(POINT_DTYPE.names or ()), 'state'],
+    'formats': ['<f4', '<f4', '<f4', '<f8', '<i4', *['<f4'] * 8, '<i4'],
+    'offsets': [0, 4, 8, 16, 12, *range(24, 60, 4)], 'itemsize': 64})
 _POINT_FIELD_TYPES = {
     'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'i4': PointField.INT32}
 
@@ -179,17 +185,32 @@ def points_from_trajectories(trajectories: Iterable[Trajectory], header: Header)
          abs(trajectory.amplitudes[row]), trajectory.snr, trajectory.statistic,
          *trajectory.covariance[row][np.triu_indices(2)])
         for trajectory in trajectories for row, position in _present(trajectory)]
-    points = np.array(rows, POINT_DTYPE)
+    return _cloud(np.array(rows, POINT_DTYPE), header)
+
+
+def points_from_head(targets: Iterable[HeadTarget], header: Header) -> PointCloud2:
+    """Return one point per target at one moment.
+
+    Fields are those of :func:`points_from_trajectories` and ``state``, see :class:`State`.
+    """
+    rows = [(*target.position, 0.0, target.stamp_s, target.id, *target.velocity, target.amplitude,
+             target.snr, target.statistic, *target.covariance[np.triu_indices(2)], target.state)
+            for target in targets]
+    return _cloud(np.array(rows, HEAD_DTYPE), header)
+
+
+def _cloud(points: NDArray, header: Header) -> PointCloud2:
+    """Return a cloud of structured points, shape (N,), of the names and types of their fields."""
+    dtype = points.dtype
     fields = []
-    offsets: Mapping[str, Any] = POINT_DTYPE.fields or {}
-    for name in POINT_DTYPE.names or ():
+    offsets: Mapping[str, Any] = dtype.fields or {}
+    for name in dtype.names or ():
         kind, offset = offsets[name][:2]
         fields.append(PointField(name=name, offset=offset, count=1,
                                  datatype=_POINT_FIELD_TYPES[kind.str[1:]]))
     message = PointCloud2(
         header=header, height=1, width=len(points), fields=fields, is_bigendian=False,
-        point_step=POINT_DTYPE.itemsize, row_step=POINT_DTYPE.itemsize * len(points),
-        is_dense=True)
+        point_step=dtype.itemsize, row_step=dtype.itemsize * len(points), is_dense=True)
     message.data = _octets(points)
     return message
 

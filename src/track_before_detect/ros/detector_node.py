@@ -85,6 +85,7 @@ from track_before_detect.ros.managed_node import (
     UNCONFIGURED,
 )
 from track_before_detect.ros.outputs.field_outputs import FieldOutputs, SCALE_PARAMETERS
+from track_before_detect.ros.outputs.head import Head
 from track_before_detect.ros.outputs.seen_targets import RadarScale
 from track_before_detect.ros.parameters import NodeParameter, option_parameters, option_values
 from track_before_detect.ros.worker import StreamResult, StreamWorker
@@ -95,6 +96,7 @@ from track_before_detect.tracking.sensor_pipeline import SensorPipeline
 from track_before_detect.tracking.sensors import seen_by, SensorPlane
 from track_before_detect.types import STATUSES, Trajectory
 
+BATCH, HEAD = 'batch', 'head'
 INPUT_DEPTH = 20
 OUTPUT_DEPTH = 50
 DIAGNOSTICS_PERIOD_S = 1.0
@@ -152,6 +154,10 @@ PARAMETERS = [
     NodeParameter(
         'reliable', False, 'Whether to ask for lost frames to be sent again; a best-effort '
         'publisher is then not heard.', 'boolean'),
+    NodeParameter(
+        'publish', BATCH, 'Whether trajectories are published once a batch, or beside that, on '
+        'trajectories/head, where each target of the last batch is at every new frame.', 'text',
+        choices=(BATCH, HEAD)),
     *SENSORS,
     *SCALE_PARAMETERS,
     AUTOSTART,
@@ -193,6 +199,9 @@ class DetectorNode(ManagedNode):
         self._declare_inputs()
         self.finish_parameters()
         self._field_outputs = FieldOutputs(self._create_output, self.values())
+        self._head: tuple[Head, Publisher] | None = None
+        if self.values()['publish'] == HEAD:
+            self._head = Head(), self._create_output(PointCloud2, 'trajectories/head')
         if self.values()['autostart']:
             self.start_up()
 
@@ -424,6 +433,11 @@ class DetectorNode(ManagedNode):
             self._warn('dropped', (
                 f'{busy}: {queue.counters.dropped} of '
                 f'{queue.counters.received} frames were dropped so far'))
+        if self._head is not None:
+            head, publisher = self._head
+            targets = head.at(frame.stamp_s)
+            if targets is not None:
+                self._send(publisher, conversions.points_from_head(targets, frame.header))
 
     def _flush(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = self._active
@@ -448,6 +462,8 @@ class DetectorNode(ManagedNode):
             shown = {trajectory.id for trajectory in trajectories}
             ended, self._shown = self._shown - shown, shown
             self._last_header = header
+        if self._head is not None:
+            self._head[0].update(result, self._worker.status.options)
         detection = result.detection
         if detection.status != 'converged':
             self._warn(f'status {detection.status}', '; '.join(
@@ -483,6 +499,8 @@ class DetectorNode(ManagedNode):
                 raise
 
     def _clear_markers(self) -> None:
+        if self._head is not None:
+            self._head[0].clear()
         with self._lock:
             ended, self._shown = sorted(self._shown), set()
             header = self._last_header

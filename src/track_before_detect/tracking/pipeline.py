@@ -93,6 +93,12 @@ def make_detector(options: DetectorOptions) -> BatchDetector:
     return kind(options)
 
 
+def period_of(options: DetectorOptions, width: int) -> int | None:
+    """Return the columns after which frames of a width begin again, None where they end."""
+    wraps = options.motion_model == 'range_bearing' or options.doppler_ambiguities > 0
+    return width if wraps else None
+
+
 class TrackingPipeline:
     """Preprocessing, detection and identities over successive batches.
 
@@ -216,7 +222,7 @@ class TrackingPipeline:
         if len(results) > 1:
             found = _apart(found, SEPARATION * psf_of(self._options).width_px)
         self._before = self._stitcher.link(
-            found, self._period(batch.frames.shape[2]),
+            found, period_of(self._options, batch.frames.shape[2]),
             [trajectory for trajectory in rejected if trajectory.reason in MAY_CARRY_ON])
         status = worst_status(result.status for result in results)
         worst = next(result for result in results if result.status == status)
@@ -248,7 +254,7 @@ class TrackingPipeline:
             self._observe(Searched(batch, prepared, result, self._options, background))
         weighted = prepared.weights is not None
         unit = np.array(prepared.unit) if weighted else prepared.noise_level
-        period = self._period(prepared.frames.shape[2])
+        period = period_of(self._options, prepared.frames.shape[2])
         found, rejected = (
             [trajectory for one in ones if np.isfinite(
                 (trajectory := _in_original_frames(one, prepared, unit, period)).positions).any()]
@@ -265,12 +271,6 @@ class TrackingPipeline:
         self._stitcher.reset()
         self._before = []
         self._remarks = Remarks()
-
-    def _period(self, width: int) -> int | None:
-        """Return the columns after which frames begin again, None where they end."""
-        wraps = (self._options.motion_model == 'range_bearing'
-                 or self._options.doppler_ambiguities > 0)
-        return width if wraps else None
 
     def _check_scale(self, frame: NDArray) -> None:
         """Say once when frames taken to have a noise of one cannot have."""
