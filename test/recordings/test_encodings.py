@@ -9,6 +9,7 @@ from track_before_detect.recordings.encodings import (
     decode_image,
     ENCODINGS,
     luminance,
+    multiarray_stamp,
     multiarray_to_frame,
 )
 
@@ -150,6 +151,25 @@ def test_multiarray_honours_offset_and_row_stride(shape, gap, offset, data):
 def test_layouts_of_one_frame_agree(sizes, strides):
     frame = multiarray_to_frame(np.arange(6, dtype=np.float32), sizes, strides)
     np.testing.assert_array_equal(frame, np.arange(6).reshape(2, 3))
+
+
+@pytest.mark.parametrize(('labels', 'expected'), [
+    (['rows', 'columns'], None),
+    ([], None),
+    (['stamp=5.000000007', 'columns'], (5, 7, '')),
+    (['rows', 'stamp=2147483647.999999999 frame_id=map/radar'],
+     (2147483647, 999999999, 'map/radar')),
+])
+def test_a_label_may_stamp_an_array(labels, expected):
+    assert multiarray_stamp(labels) == expected
+
+
+@pytest.mark.parametrize('label', [
+    'stamp=5', 'stamp=5.25', 'stamp=-1.000000000', 'stamp=2147483648.000000000',
+    'stamp=1.000000000 radar', 'stamp=1.000000000 frame_id=' + 'x' * 256])
+def test_a_label_that_is_no_stamp_is_refused(label):
+    with pytest.raises(DataError, match='a label with a stamp must be stamp=SECONDS'):
+        multiarray_stamp([label])
 
 
 def test_one_dimension_is_one_row():

@@ -34,10 +34,10 @@ def image(frame, stamp_ns, encoding='mono16', big=False, padding=0, frame_id='ca
                         rows.shape[1], rows.ravel())
 
 
-def multiarray(frame):
+def multiarray(frame, label='rows'):
     dimension = TYPES['std_msgs/msg/MultiArrayDimension']
     layout = TYPES['std_msgs/msg/MultiArrayLayout'](
-        [dimension('rows', frame.shape[0], frame.size),
+        [dimension(label, frame.shape[0], frame.size),
          dimension('columns', frame.shape[1], frame.shape[1])], 0)
     return TYPES[ARRAY](layout, frame.astype(np.float32).ravel())
 
@@ -94,6 +94,19 @@ def test_multiarray_bag_has_stamps_of_receipt(tmp_path, storage):
         assert recording.dtype == np.float32 and recording.frame_id == ''
         np.testing.assert_array_equal(all_frames(recording), frames)
         np.testing.assert_allclose(recording.stamps, [1, 1.5, 2, 2.5])
+
+
+def test_multiarrays_have_the_stamps_of_their_labels(tmp_path):
+    labels = [f'stamp={100 + k}.250000000 frame_id=radar' for k in range(4)]
+    messages = [(10**9, multiarray(frame, label)) for frame, label in zip(FRAMES, labels)]
+    write_bag(tmp_path / 'bag', {'/frame': (ARRAY, messages)})
+    with open_recording(tmp_path / 'bag') as recording:
+        np.testing.assert_array_equal(recording.stamps, 100.25 + np.arange(4))
+        assert recording.frame_id == 'radar'
+    messages[2] = (10**9, multiarray(FRAMES[2], 'stamp=soon'))
+    write_bag(tmp_path / 'bad', {'/frame': (ARRAY, messages)})
+    with pytest.raises(DataError, match='message 2 of .*: a label with a stamp must be'):
+        open_recording(tmp_path / 'bad')
 
 
 def test_images_without_header_stamps_have_those_of_receipt(tmp_path):

@@ -1,13 +1,15 @@
 """From the bytes of ROS messages to frames, without ROS."""
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+import re
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.errors import DataError
 
+STAMP_LABEL = re.compile(r'stamp=([0-9]{1,10})\.([0-9]{9})(?: frame_id=(\S{0,255}))?')
 LUMINANCE_WEIGHTS = (0.299, 0.587, 0.114)
 
 # Encoding: item type, channels, and which of them are red, green and blue, or the one that is grey
@@ -122,6 +124,35 @@ def decode_image(data: Any, encoding: str, height: int, width: int, step: int,
     if order is None:
         return grey_of_mosaic(pixels[..., 0])
     return pixels[..., order[0]].astype(item) if len(order) == 1 else luminance(pixels, order)
+
+
+class LabelledStamp(NamedTuple):
+    """Stamp and coordinate frame of an array, whose message has no header."""
+
+    sec: int
+    nanosec: int
+    frame_id: str
+
+
+def multiarray_stamp(labels: Iterable[str]) -> LabelledStamp | None:
+    """Return the stamp in the labels of the dimensions of a std_msgs multi-array, if any.
+
+    One of them may be ``stamp=SECONDS.NANOSECONDS frame_id=NAME``, the nanoseconds in nine digits
+    and the name left out where there is none. It goes with the frame, so that none is lost alone.
+
+    Raises
+    ------
+    DataError
+        A label begins like that but is none.
+    """
+    for label in labels:
+        if label.startswith('stamp='):
+            match = STAMP_LABEL.fullmatch(label)
+            if match is None or int(match[1]) >= 2**31:
+                raise DataError('a label with a stamp must be stamp=SECONDS.NANOSECONDS '
+                                f'frame_id=NAME, nine digits after the point, got {label[:80]!r}')
+            return LabelledStamp(int(match[1]), int(match[2]), match[3] or '')
+    return None
 
 
 def multiarray_to_frame(data: ArrayLike, dim_sizes: Sequence[int], dim_strides: Sequence[int],

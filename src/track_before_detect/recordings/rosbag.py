@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, MissingExtraError
-from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
+from track_before_detect.recordings.encodings import (
+    decode_image,
+    LabelledStamp,
+    multiarray_stamp,
+    multiarray_to_frame,
+)
 from track_before_detect.recordings.mcap_chunks import damaged_spans
 from track_before_detect.recordings.pictures.pillow import decode_compressed_image
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors
@@ -146,10 +151,10 @@ class _BagSource:
         self._start(0)
         for index, (received, message) in enumerate(self._iterate()):
             self._received.append(received)
-            header = getattr(message, 'header', None)
-            if header is not None:
-                header_stamps.append(header.stamp.sec + 1e-9 * header.stamp.nanosec)
-                frame_id = frame_id or header.frame_id
+            stamp = self._stamp(index, message)
+            if stamp is not None:
+                header_stamps.append(stamp.sec + 1e-9 * stamp.nanosec)
+                frame_id = frame_id or stamp.frame_id
             if first is None:
                 first = self._decode(index, message)
         return header_stamps, frame_id, first
@@ -196,6 +201,16 @@ class _BagSource:
                 connection, received, raw = item
                 message = self._deserialize(raw, connection.msgtype)
             yield received, message
+
+    def _stamp(self, index: int, message: Any) -> LabelledStamp | None:
+        """Return what the header of a message says, or a label where it has none."""
+        header = getattr(message, 'header', None)
+        if header is not None:
+            return LabelledStamp(header.stamp.sec, header.stamp.nanosec, header.frame_id)
+        try:
+            return multiarray_stamp(dim.label for dim in message.layout.dim)
+        except DataError as error:
+            raise DataError(f'message {index} of {self._path}: {error}') from error
 
     def _decode(self, index: int, message: Any) -> NDArray:
         try:

@@ -132,17 +132,32 @@ def image_from_colours(pixels: NDArray[np.uint8], header: Header) -> Image:
     return message
 
 
-def multiarray_from_frame(frame: NDArray) -> Float32MultiArray:
-    """Return a multi-array with rows and columns named in its layout."""
+def multiarray_from_frame(frame: NDArray, header: Header | None = None) -> Float32MultiArray:
+    """Return a multi-array with rows and columns named in its layout.
+
+    Parameters
+    ----------
+    frame : array, shape (H, W)
+        Real numbers.
+    header : Header, optional
+        Stamp and coordinate frame, which take the place of the name of the rows.
+    """
     height, width = frame.shape
     data = array('f')
     data.frombytes(np.ascontiguousarray(frame, np.float32).tobytes())
     layout = MultiArrayLayout(data_offset=0, dim=[
-        MultiArrayDimension(label='rows', size=height, stride=height * width),
+        MultiArrayDimension(label='rows' if header is None else stamp_label(header), size=height,
+                            stride=height * width),
         MultiArrayDimension(label='columns', size=width, stride=width)])
     message = Float32MultiArray(layout=layout)
     message.data = data
     return message
+
+
+def stamp_label(header: Header) -> str:
+    """Return the label of a dimension of an array that stamps it; see :func:`multiarray_stamp`."""
+    named = f' frame_id={header.frame_id}' if header.frame_id else ''
+    return f'stamp={header.stamp.sec}.{header.stamp.nanosec:09d}{named}'
 
 
 def paths_from_trajectories(

@@ -146,8 +146,9 @@ PARAMETERS = [
     NodeParameter(
         'stamp_source', HEADER, 'Where the stamps of frames come from: their header, their '
         'arrival by the clock of the node, or by a steady one that starts at the time of day and '
-        'never jumps or stands still. Frames without header (topic frame) are stamped on arrival '
-        'in any case.', 'text', choices=(HEADER, ARRIVAL, STEADY)),
+        'never jumps or stands still. Arrays (topic frame) have no header: they are stamped on '
+        'arrival in any case but where the label of a dimension is stamp=SECONDS.NANOSECONDS '
+        'frame_id=NAME.', 'text', choices=(HEADER, ARRIVAL, STEADY)),
     NodeParameter(
         'image_transport', RAW, 'Whether images come as they are, or as PNG or JPEG on the topic '
         'of the images with /compressed behind it.', 'text', choices=(RAW, COMPRESSED)),

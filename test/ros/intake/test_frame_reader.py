@@ -104,6 +104,19 @@ def test_a_clock_that_stands_still_stamps_one_frame_and_a_steady_one_all(warned)
     assert stamps[0] == pytest.approx(time.time(), abs=1.0)
 
 
+def test_an_array_may_have_its_stamp_and_frame_id_in_a_label(warned):
+    message = conversions.multiarray_from_frame(FRAME, HEADER)
+    frame = reader(warned).multiarray(message)
+    assert frame.header == HEADER
+    np.testing.assert_array_equal(frame.pixels, FRAME)
+    arrived = reader(warned, 'arrival').multiarray(message)
+    assert arrived.stamp_s == pytest.approx(time.time(), abs=1.0)
+    assert arrived.header.frame_id == 'camera'
+    message.layout.dim[0].label = 'stamp=now'
+    with pytest.raises(DataError, match="nine digits after the point, got 'stamp=now'"):
+        reader(warned).multiarray(message)
+
+
 def test_an_array_without_layout_has_the_size_that_was_told(warned):
     message = Float32MultiArray(data=FRAME.ravel().tolist())
     np.testing.assert_array_equal(reader(warned, shape=(3, 4)).multiarray(message).pixels, FRAME)

@@ -12,6 +12,7 @@ from sensor_msgs.msg import CompressedImage, Image
 from std_msgs.msg import Float32MultiArray, Header
 
 from track_before_detect.errors import DataError
+from track_before_detect.recordings.encodings import multiarray_stamp
 from track_before_detect.recordings.pictures.pillow import decode_compressed_image
 from track_before_detect.ros import conversions
 
@@ -37,8 +38,8 @@ class FrameReader:
     ----------
     stamp_source : {'header', 'arrival', 'steady'}
         Where the stamp of a frame comes from: the message, or its arrival by the node's clock, or
-        by one that starts at the time of day and never jumps or stands still. A message without
-        header has that of its arrival in any case.
+        by one that starts at the time of day and never jumps or stands still. An array without a
+        label that stamps it has that of its arrival in any case.
     shape : tuple of int
         Height and width that were told, zero where unknown.
     clock : Clock
@@ -72,9 +73,11 @@ class FrameReader:
 
     def multiarray(self, message: Float32MultiArray) -> StampedFrame:
         """Return the frame in an array, which has the size told where its layout names none."""
-        header = self._arrived('')
-        pixels = conversions.frame_from_multiarray(message, self._shape)
         dim = message.layout.dim
+        stamp = multiarray_stamp(one.label for one in dim)
+        header = self._arrived('') if stamp is None else self._stamped(
+            Header(stamp=Time(sec=stamp.sec, nanosec=stamp.nanosec), frame_id=stamp.frame_id))
+        pixels = conversions.frame_from_multiarray(message, self._shape)
         rows = dim[0].size * dim[1].stride if len(dim) > 1 else 0
         whole = max(pixels.size, rows, dim[0].stride if dim else 0)
         self._check_rest(len(message.data) - message.layout.data_offset - whole, 'items')
