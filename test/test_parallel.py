@@ -7,6 +7,7 @@ import time
 import pytest
 
 from track_before_detect.parallel import (
+    ahead,
     at_most_cores,
     exit_at_once_is_needed,
     map_in_threads,
@@ -72,3 +73,60 @@ def test_time_is_shown_while_one_waits():
     assert map_in_threads(lambda seconds: time.sleep(seconds), [2.5],
                           lambda: shown.append(time.monotonic())) == [None]
     assert len(shown) == 2
+
+
+@pytest.mark.skipif(usable_cores() < 2, reason='needs two cores')
+def test_one_item_is_made_ahead_while_another_is_worked_on():
+    begun, threads = [], set()
+
+    def items():
+        for n in range(4):
+            begun.append(n)
+            threads.add(threading.get_ident())
+            yield n
+
+    seen = []
+    for n in ahead(items()):
+        seen.append(n)
+        end = time.monotonic() + 5
+        while len(begun) < min(n + 2, 4) and time.monotonic() < end:
+            time.sleep(0.001)
+        time.sleep(0.02)
+        assert len(begun) == min(n + 2, 4)
+    assert seen == [0, 1, 2, 3]
+    assert len(threads) == 1 and threading.get_ident() not in threads
+
+
+def test_an_error_of_an_item_that_is_made_ahead_comes_when_that_is_due():
+    def items():
+        yield 0
+        raise ValueError('item 1')
+
+    made = ahead(items())
+    assert next(made) == 0
+    with pytest.raises(ValueError, match='item 1'):
+        next(made)
+
+
+def test_nothing_more_is_made_ahead_once_that_is_closed():
+    begun = []
+
+    def items():
+        for n in range(10):
+            begun.append(n)
+            yield n
+
+    made = ahead(items())
+    next(made)
+    made.close()
+    time.sleep(0.05)
+    assert len(begun) <= 2 and not exit_at_once_is_needed()
+
+
+def test_a_single_core_makes_nothing_ahead():
+    threads = []
+    with at_most_cores(1):
+        for _ in ahead(threads.append(threading.get_ident()) for _ in range(3)):
+            pass
+    assert set(threads) == {threading.get_ident()}
+

@@ -1,6 +1,6 @@
 """The processor cores that this process may use, and long work shared out over them."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 import os
 import queue
@@ -94,6 +94,54 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item],
     finally:
         ended.set()
     return [results[number] for number in range(len(items))]
+
+
+def ahead(items: Iterable[_Item]) -> Generator[_Item]:
+    """Yield items, each made in another thread while the one before is worked on.
+
+    No more than one is made ahead, and none where there is a single core. An error comes when its
+    item is due. That thread shares its work out over the cores but the one that works on an item.
+    Close the iterator when it is left early.
+    """
+    cores = usable_cores()
+    if cores == 1:
+        yield from items
+        return
+    made: queue.SimpleQueue[tuple[list[_Item], BaseException | None]] = queue.SimpleQueue()
+    wanted = threading.Semaphore(0)
+    ended = threading.Event()
+
+    def run() -> None:
+        try:
+            with at_most_cores(cores - 1):
+                for item in items:
+                    made.put(([item], None))
+                    # Not held while the next one is made.
+                    del item
+                    wanted.acquire()
+                    if ended.is_set():
+                        return
+            made.put(([], None))
+        except BaseException as error:
+            made.put(([], error))
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        while True:
+            item, error = made.get()
+            if error is not None:
+                raise error
+            if not item:
+                return
+            wanted.release()
+            yield item.pop()
+    except BaseException:
+        _left.append(thread)
+        raise
+    finally:
+        ended.set()
+        wanted.release()
 
 
 def exit_at_once_is_needed() -> bool:

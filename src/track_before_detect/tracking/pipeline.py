@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 import logging
 
 import numpy as np
@@ -79,6 +80,8 @@ class Searched:
 
 
 Observer = Callable[[Searched], None]
+# Finds the trajectories of a batch that is prepared; told of progress.
+BatchSearch = Callable[[Progress | None], DetectionResult]
 # What is searched instead of a background that is not one.
 BACKGROUNDS = {'either': ('temporal_median', 'spatial_median')}
 
@@ -211,12 +214,36 @@ class TrackingPipeline:
             Positions in pixels of the original frames, amplitudes in units of the input, ids as
             in the batches before.
         """
+        return self.prepare(batch, progress)(progress)
+
+    def prepare(self, batch: FrameBatch, progress: Progress | None = None) -> BatchSearch:
+        """Prepare a batch, and return what finds its trajectories.
+
+        Batches may be prepared in one thread while they are searched in another, in the same
+        order.
+
+        Parameters
+        ----------
+        batch : FrameBatch
+            Frames as they came.
+        progress : callable, optional
+            Told of what is compiled.
+        """
         _check(batch)
         width_px = psf_of(self._options).width_px
         with told_of_compiling(progress, self._options):
             seen = pictures(batch, self._options, width_px, self._kept)
-            results = [self._search(batch, seen, background, progress)
-                       for background in self._backgrounds]
+            prepared = [noise_of_one(
+                seen, batch, self._options.replace(background=background), width_px, self._kept)
+                for background in self._backgrounds]
+        return partial(self._find, batch, prepared)
+
+    def _find(self, batch: FrameBatch, prepared: list[PreparedBatch],
+              progress: Progress | None = None) -> DetectionResult:
+        """Find the trajectories of a batch that is prepared beside each background."""
+        with told_of_compiling(progress, self._options):
+            results = [self._search(batch, one, background, progress)
+                       for one, background in zip(prepared, self._backgrounds, strict=True)]
         found = [trajectory for result in results for trajectory in result.trajectories]
         rejected = [trajectory for result in results for trajectory in result.rejected]
         if len(results) > 1:
@@ -236,11 +263,9 @@ class TrackingPipeline:
         return self._stitcher.carried_on(
             known, [trajectory for trajectory in weaker if trajectory.reason in MAY_CARRY_ON])
 
-    def _search(self, batch: FrameBatch, seen: PreparedBatch, background: str,
+    def _search(self, batch: FrameBatch, prepared: PreparedBatch, background: str,
                 progress: Progress | None) -> DetectionResult:
         """Find the trajectories beside one background, without ids."""
-        options = self._options.replace(background=background)
-        prepared = noise_of_one(seen, batch, options, psf_of(options).width_px, self._kept)
         remarks = self._remarks.new(prepared.remarks)
         if not np.isfinite(prepared.frames).any():
             return DetectionResult([], 0.0, remarks=remarks)

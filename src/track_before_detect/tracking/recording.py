@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
 import logging
 from typing import Protocol
 
@@ -11,10 +12,11 @@ from numpy.typing import NDArray
 from track_before_detect.errors import DataError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
+from track_before_detect.parallel import ahead
 from track_before_detect.timestamps import increasing_frames, median_interval, pieces
 from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.joined import JoinedTrajectories
-from track_before_detect.tracking.pipeline import Observer, TrackingPipeline
+from track_before_detect.tracking.pipeline import BatchSearch, Observer, TrackingPipeline
 from track_before_detect.tracking.repeated_frames import RepeatedFrames
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, worst_status
 
@@ -47,8 +49,8 @@ class BatchPipeline(Protocol):
 
     stamps_may_repeat: bool
 
-    def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
-        """Find the trajectories of one batch, with the ids of the batches before."""
+    def prepare(self, batch: FrameBatch, progress: Progress | None = None) -> BatchSearch:
+        """Prepare a batch; return what finds its trajectories, with the ids of those before."""
 
 
 def batches(recording: FrameSequence, parts: Sequence[NDArray[np.int64]],
@@ -120,7 +122,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     Parameters
     ----------
     recording : FrameSequence
-        Read frame by frame; at most one batch is held.
+        Read frame by frame, in another thread while the batch before is searched.
     options : DetectorOptions
         ``batch_length`` None takes the whole recording as one batch, ``hop`` None half a batch.
     progress : callable, optional
@@ -159,20 +161,16 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     searched: list[tuple[NDArray[np.int64], DetectionResult]] = []
     if progress is not None:
         progress('searching', 0.0)
-    for batch in cut:
-        if not np.isfinite(batch.frames).any() and len(batch) < n_frames:
-            # A gap in the recording ends no more than the trajectories that reach into it.
-            _LOG.warning('frames %d to %d hold no finite pixel and are passed over',
-                         batch.frame_indices[0], batch.frame_indices[-1])
-            continue
-        n_until = int(batch.frame_indices[-1]) + 1
-        result = pipeline.process(
-            batch, progress and _within(progress, n_done / n_frames, n_until / n_frames))
-        n_done = n_until
-        searched.append((batch.frame_indices, result))
-        remarks += result.remarks
-        if progress is not None:
-            progress('searching', n_done / n_frames)
+    with closing(ahead(_prepared(cut, pipeline, n_frames, progress))) as prepared:
+        for frame_indices, search in prepared:
+            n_until = int(frame_indices[-1]) + 1
+            result = search(
+                progress and _within(progress, n_done / n_frames, n_until / n_frames))
+            n_done = n_until
+            searched.append((frame_indices, result))
+            remarks += result.remarks
+            if progress is not None:
+                progress('searching', n_done / n_frames)
     if not searched:
         raise DataError(f'no pixel of the {n_frames} frames is finite')
     if repeated.count:
@@ -195,6 +193,18 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         [*reasons, *remarks],
         [one for result in results for one in result.rejected
          if id(one.positions) not in carried])
+
+
+def _prepared(cut: Iterable[FrameBatch], pipeline: BatchPipeline, n_frames: int,
+              progress: Progress | None) -> Iterator[tuple[NDArray[np.int64], BatchSearch]]:
+    """Yield the frame numbers of each batch that shows anything, and what searches it."""
+    for batch in cut:
+        if not np.isfinite(batch.frames).any() and len(batch) < n_frames:
+            # A gap in the recording ends no more than the trajectories that reach into it.
+            _LOG.warning('frames %d to %d hold no finite pixel and are passed over',
+                         batch.frame_indices[0], batch.frame_indices[-1])
+            continue
+        yield batch.frame_indices, pipeline.prepare(batch, progress)
 
 
 def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult]) -> None:

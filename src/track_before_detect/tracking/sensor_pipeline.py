@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 import math
 
 import numpy as np
@@ -18,12 +19,15 @@ from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.tracking.compilation import LABEL, told_of_compiling
+from track_before_detect.tracking.pipeline import BatchSearch
 from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.remarks import Remarks
 from track_before_detect.tracking.sensors import Sensor, SensorPlane
 from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Remark, Trajectory
 
+# Frames of unit noise, weights of pixels, the unit of amplitudes, and remarks.
+_Prepared = tuple[FrameBatch, NDArray, NDArray, list[str]]
 DETECTORS: dict[str, type[PathDetector]] = {'convex': ConvexDetector, 'greedy': GreedyDetector}
 
 
@@ -90,7 +94,15 @@ class SensorPipeline:
 
     def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of a batch; positions are those of the common plane."""
-        whole, weights, units, remarks = self._prepared(batch)
+        return self.prepare(batch)(progress)
+
+    def prepare(self, batch: FrameBatch, progress: Progress | None = None) -> BatchSearch:
+        """Prepare a batch and return what finds its trajectories; see TrackingPipeline."""
+        return partial(self._find, batch, self._prepared(batch))
+
+    def _find(self, batch: FrameBatch, prepared: _Prepared,
+              progress: Progress | None = None) -> DetectionResult:
+        whole, weights, units, remarks = prepared
         on_plane = np.tile(geometry.translations(self._plane.origin[None]), (len(batch), 1, 1))
         result = self._detector.detect(
             whole, None if np.all(weights == 1) else weights,
@@ -107,7 +119,7 @@ class SensorPipeline:
         self._before = []
         self._remarks = Remarks()
 
-    def _prepared(self, batch: FrameBatch) -> tuple[FrameBatch, NDArray, NDArray, list[str]]:
+    def _prepared(self, batch: FrameBatch) -> _Prepared:
         """Return frames of unit noise, weights of pixels, the unit of amplitudes, and remarks."""
         plane, of_frame = self._plane, _taken(batch)[:, 0]
         frames = np.full(batch.frames.shape, np.nan, batch.frames.dtype)
