@@ -1,7 +1,5 @@
 """What does not move: estimated as a median over time and taken off."""
 
-import warnings
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -104,11 +102,9 @@ def remove_stripes(frames: NDArray) -> None:
     """
     # A quarter of the pixels of a line tells its median well enough.
     for axis, part in ((1, frames[::2, ::2]), (2, frames[::2, :, ::2])):
-        known = np.isfinite(part)
-        with warnings.catch_warnings():
-            warnings.simplefilter('ignore', RuntimeWarning)
-            lines = np.nanmedian(part, axis=(0, axis)) if known.any() else np.zeros(1)
-        frames -= np.expand_dims(np.nan_to_num(lines).astype(frames.dtype), axis - 1)
+        pixels = np.moveaxis(part, axis, 1).reshape(-1, part.shape[3 - axis])
+        lines = _median_over_first(pixels)
+        frames -= np.expand_dims(np.nan_to_num(lines), axis - 1)
 
 
 def _gains(frames: NDArray, background: NDArray) -> NDArray[np.float32]:

@@ -191,18 +191,27 @@ class PathDetector(BatchDetector):
 
         With its covariance where there is a ``refiner``, that by which it was refined.
         """
-        seen = paths.seen(path)
-        present = self.scale.present(paths.positions[path], seen)
         covariance = None
         if refiner is not None:
             with paths.without(path) as frames:
                 covariance = refiner.covariance(frames, paths.positions[path])
+        return self.target(paths.positions[path], paths.seen(path),
+                           paths.target_amplitudes(path), value, covariance)
+
+    def target(self, positions: NDArray, seen: NDArray, amplitudes: NDArray, value: float,
+               covariance: NDArray | None = None) -> FoundTrajectory:
+        """Return the target of a path of this value.
+
+        With what is ``seen`` along it (T,) and the amplitudes of the target (T,), NaN in a frame
+        that shows nothing of it.
+        """
+        present = self.scale.present(positions, seen)
+        if covariance is not None:
             covariance[~present] = np.nan
         return FoundTrajectory(
-            np.where(present[:, None], paths.positions[path], np.nan),
-            np.where(present, paths.target_amplitudes(path), np.nan),
+            np.where(present[:, None], positions, np.nan), np.where(present, amplitudes, np.nan),
             self.scale.statistic(value, len(seen)),
-            self.model.snr(seen[present & paths.visible(path)]), covariance=covariance)
+            self.model.snr(seen[present & ~np.isnan(amplitudes)]), covariance=covariance)
 
     def result(self, task: Task, found: list[FoundTrajectory], status: str, history: list[Step],
                largest: float = 0.0, gap: float = float('nan')) -> BatchResult:

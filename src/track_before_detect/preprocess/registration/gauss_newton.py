@@ -18,6 +18,7 @@ from scipy import ndimage
 
 from track_before_detect import geometry
 from track_before_detect.kernels import warp
+from track_before_detect.kernels.pictures.mapped_motion import mapped_motion
 from track_before_detect.preprocess.robust import median_deviation
 
 _BLURS_PX = (4.0, 1.5, 0.8)  # of the features, one after the other
@@ -171,7 +172,7 @@ class _Problem:
         if not least > most / _WORST_CONDITION:
             return np.inf
         covariance = max(self._alike, 1.0) * spread**2 * np.linalg.inv(shared)
-        corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)]) * (self._size - 1)
+        corners = np.array([(0, 0), (1, 0), (0, 1), (1, 1)]) * (self._size - 1.0)
         at_corners = self._motion(corners, parameters)
         variance = np.einsum('ckp,pq,ckq->c', at_corners, covariance, at_corners)
         return float(np.sqrt(variance.max()))
@@ -196,20 +197,10 @@ class _Problem:
 
     def _motion(self, points: NDArray, parameters: NDArray) -> NDArray[np.float64]:
         """Return how mapped points move with the parameters, shape (points, 2, parameters)."""
-        change = self._change(parameters)
-        u = np.column_stack([(points - self._middle) / self._scale, np.ones(len(points))])
-        changed = u @ change.T
-        u /= changed[:, 2:]
-        changed /= changed[:, 2:]
-        inner = np.zeros((len(u), 2, 8))
-        inner[:, 0, :3] = u
-        inner[:, 1, 3:6] = u
-        inner[:, :, 6:] = -changed[:, :2, None] * u[:, None, :2]
-        mapped = changed @ self._outer.T
-        depth = mapped[:, 2, None, None]
-        mapped = mapped[:, :2] / mapped[:, 2:]
-        outer = (self._outer[:2, :2] - mapped[:, :, None] * self._outer[2, :2]) / depth
-        return (outer @ inner)[:, :, :self.n_parameters] / self._scale
+        motion = np.empty((len(points), 2, self.n_parameters))
+        mapped_motion(points, self._middle, self._scale, self._change(parameters), self._outer,
+                      motion)
+        return motion
 
 
 def _sampled(image: NDArray, positions: NDArray) -> NDArray[np.float64]:

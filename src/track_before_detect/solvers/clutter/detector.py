@@ -149,10 +149,11 @@ class ClutterDetector(PathDetector):
         """Take the pixels of a path out of the frames, the whole of a wide target."""
         reach = SEPARATION * self.measurement.width_px
         for frame, (x, y) in zip(frames, positions, strict=True):
-            wide = frame[_window(x, y, 3 * reach, frame.shape)]
-            inner = np.zeros(frame.shape, bool)
-            inner[_window(x, y, reach, frame.shape)] = True
-            inner = inner[_window(x, y, 3 * reach, frame.shape)]
+            around = _window(x, y, 3 * reach, frame.shape)
+            wide = frame[around]
+            inner = np.zeros(wide.shape, bool)
+            inner[tuple(slice(part.start - whole.start, part.stop - whole.start) for part, whole
+                        in zip(_window(x, y, reach, frame.shape), around, strict=True))] = True
             parts, _ = ndimage.label((np.abs(wide) > PART_OF_TARGET) | inner, np.ones((3, 3)))
             own = np.unique(parts[inner])
             slope = 2 * round(SLOPE * self.measurement.width_px) + 1
@@ -163,13 +164,10 @@ class ClutterDetector(PathDetector):
         paths = task.paths
         covariance = None if refiner is None else refiner.covariance(
             path.sign * paths.frames, path.positions)
-        added = paths.add(path.positions, path.cost)
-        seen = path.sign * paths.matched[[added]]
-        paths.assign(np.array([added]), path.sign * self.model.best(seen, NO_ENVELOPE))
-        found = self.trajectory(paths, added, path.value)
-        paths.remove(np.array([added]))
-        return replace(found, statistic=found.statistic / level, reason=reason,
-                       covariance=covariance)
+        seen, amplitudes = paths.fit_alone(path.positions, lambda seen: path.sign * (
+            self.model.best(path.sign * seen, NO_ENVELOPE)))
+        found = self.target(path.positions, seen, amplitudes, path.value, covariance)
+        return replace(found, statistic=found.statistic / level, reason=reason)
 
 
 def _window(x: float, y: float, reach: float, shape: tuple[int, ...]) -> tuple[slice, slice]:

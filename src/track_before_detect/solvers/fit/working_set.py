@@ -5,7 +5,7 @@ their stamps. With those numbers and the matched filter of the data along each p
 needs no pixels (Patent Eq. 6-8).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
@@ -408,15 +408,31 @@ class WorkingSet:
     def target_amplitudes(self, path: int) -> NDArray:
         """Return the amplitudes of the target itself, of which a stamp may show a part, (T,).
 
-        NaN in a frame that shows nothing of it.
+        NaN in a frame that shows nothing of it: it is not there, or masked.
         """
-        visible = self.visible(path)
-        norms = np.where(visible, self._stamps[path].norms / self._whole_norm, 1.0)
-        return np.where(visible, self.amplitudes[path] / norms, np.nan)
+        return self._of_target(self.amplitudes[path], self._stamps[path])
 
-    def visible(self, path: int) -> NDArray[np.bool_]:
-        """Return which frames show something of a path, shape (T,): it is there and not masked."""
-        return self._stamps[path].norms > 0
+    def fit_alone(self, positions: NDArray, best: Callable[[NDArray], NDArray],
+                  ) -> tuple[NDArray, NDArray]:
+        """Return what the frames show of a path as if nothing were held, and of its target.
+
+        Parameters
+        ----------
+        positions : array, shape (T, 2)
+            Of a path that need not be held.
+        best : callable
+            Returns its best amplitudes for what is seen.
+
+        Returns
+        -------
+        seen : array, shape (T,)
+            The matched filter.
+        amplitudes : array, shape (T,)
+            As of :meth:`target_amplitudes`.
+        """
+        stamps = self._renderer.render(positions)
+        seen = self._seen_by(stamps, self.frames)
+        return seen, self._of_target(best(seen), stamps)
 
     def may_pass(self, positions: NDArray, cost: float) -> bool:
         """Return whether a path that is not held may pass its penalty once it is refined.
@@ -465,11 +481,18 @@ class WorkingSet:
         for source in self._sources:
             self._accumulate(source.stamps, -source.amplitudes)
 
-    def _seen_by(self, stamps: PsfStamps) -> NDArray:
-        """Return the statistic of each frame that stamps see in the residual, (T,)."""
+    def _seen_by(self, stamps: PsfStamps, frames: NDArray | None = None) -> NDArray:
+        """Return what stamps see in each frame, of the residual unless told, shape (T,)."""
         seen = np.empty(len(self.frames), self.matched.dtype)
-        stamp_kernels.correlate(stamps.pictures, stamps.origins, self._residual, seen)
+        stamp_kernels.correlate(stamps.pictures, stamps.origins,
+                                self._residual if frames is None else frames, seen)
         return seen
+
+    def _of_target(self, amplitudes: NDArray, stamps: PsfStamps) -> NDArray:
+        """Return amplitudes (T,) of the target itself, NaN where stamps show nothing of it."""
+        visible = stamps.norms > 0
+        norms = np.where(visible, stamps.norms / self._whole_norm, 1.0)
+        return np.where(visible, amplitudes / norms, np.nan)
 
     def _apply_fit(self, path: int, sign: float) -> None:
         """Take the fit of one path off the residual (or put it back)."""
