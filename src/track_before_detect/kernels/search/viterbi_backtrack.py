@@ -73,34 +73,6 @@ def _best_arrival(tables, places, j, y, x, v, motion, layout):
 
 
 @numba.njit(**EXACT)
-def _arriving(tables, places, j, y, x, motion, layout):
-    """Return the weights of the paths that arrive at (y, x), by the slot of their velocity."""
-    may = motion.turns
-    arriving = np.full(may.velocity_at.size, ABSENT)
-    if j > 0:
-        for v in range(layout.n_v):
-            row = y - motion.end_moves[j - 1, v, 1]
-            column = x - motion.end_moves[j - 1, v, 0]
-            if (0 <= row < layout.n_y and 0 <= column < layout.n_x and places[j - 1, row, v]):
-                arriving[may.slots[v]] = tables[places[j - 1, row, v] + column]
-    return arriving
-
-
-@numba.njit(**EXACT)
-def _largest_arrival(arriving, j, v, may):
-    """Return the weight that ``_best_arrival`` does, of what arrives at each slot."""
-    if j == 0:
-        return np.float32(0)
-    best = ABSENT
-    for k in range(-may.reach, may.reach + 1):
-        for m in range(-may.reach, may.reach + 1):
-            weight = (arriving[may.slots[v] + k * may.columns + m]
-                      - np.float32(abs(k) + abs(m)) * may.cost)
-            best = max(best, weight)
-    return best
-
-
-@numba.njit(**EXACT)
 def _live_on(reached, scores, t, y, x, v, motion, layout):
     """Return what a path that starts its segment at (y, x) has reached after frame t."""
     row, column = y + motion.moves[t, v, 1], x + motion.moves[t, v, 0]
@@ -130,9 +102,8 @@ def best_end(tables, places, scores, j, y, x, motion, layout):
         Its weight, of what it meets in the last segment in double precision.
     """
     best, velocity, last = ABSENT, ZERO, motion.knots[j + 1] - 1
-    arriving = _arriving(tables, places, j, y, x, motion, layout)
     for v in range(layout.n_v):
-        reached = _largest_arrival(arriving, j, v, motion.turns)
+        _, reached, _ = _best_arrival(tables, places, j, y, x, v, motion, layout)
         for t in range(motion.knots[j], motion.knots[j + 1]):
             reached = _live_on(reached, scores, t, y, x, v, motion, layout)
             end = reached if t == motion.moves.shape[0] - 1 else reached - motion.leaving
