@@ -201,12 +201,14 @@ def noise_of_one(seen: PreparedBatch, batch: FrameBatch, options: DetectorOption
     if options.background in ('spatial_median', 'temporal_spatial_median'):
         prepared = _without_shading(prepared, width_px, kept)
     if options.variance is not None:
-        prepared = _divided(prepared, given_level(options.variance, batch))
+        prepared = _divided(prepared, np.array(given_level(options.variance, batch)),
+                            prepared.frames is not seen.frames)
     if options.noise != 'none':
         is_whole = np.issubdtype(np.asarray(batch.frames).dtype, np.integer)
         floor = _QUANTISED_FLOOR if is_whole and prepared.scale == 'linear' else 0.0
         prepared = _divided(
-            prepared, _noise_level(prepared, options.noise, floor, width_px, kept))
+            prepared, _noise_level(prepared, options.noise, floor, width_px, kept),
+            prepared.frames is not seen.frames)
         prepared = _with_white_scale(prepared, width_px)
     if options.noise != 'local':
         # Across the PSF of a target the level of its surroundings hardly changes.
@@ -262,6 +264,8 @@ def _least_frames(options: DetectorOptions) -> tuple[int, str]:
 
 def _masked(prepared: PreparedBatch, masked: NDArray[np.bool_]) -> PreparedBatch:
     """Return a batch without the pixels that hold no data."""
+    if not masked.any():
+        return prepared
     return replace(prepared, frames=np.where(masked, _nan(prepared.frames), prepared.frames))
 
 
@@ -375,7 +379,8 @@ def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:
 def _with_even_noise(prepared: PreparedBatch, frames: NDArray) -> PreparedBatch:
     """Return a batch whose noise follows neither brightness nor slopes of the scene."""
     noise = scene_noise(_real_parts(prepared.frames), _real_parts(frames))
-    return prepared if noise is None else _divided(prepared, noise)
+    # The frames without their scene are an array of this stage.
+    return prepared if noise is None else _divided(prepared, noise, True)
 
 
 def _without_shading(prepared: PreparedBatch, width_px: float, kept: KeptFrames) -> PreparedBatch:
@@ -385,10 +390,14 @@ def _without_shading(prepared: PreparedBatch, width_px: float, kept: KeptFrames)
         without_spatial_median, prepared.frames, prepared.frame_indices, mesh_px)))
 
 
-def _divided(prepared: PreparedBatch, level: NDArray) -> PreparedBatch:
-    """Return a batch in units of a level, which broadcasts to its frames."""
+def _divided(prepared: PreparedBatch, level: NDArray, in_place: bool) -> PreparedBatch:
+    """Return a batch in units of a level, which broadcasts to its frames.
+
+    The level is no longer to be used, nor are the frames where they are divided ``in_place``:
+    those of a batch take as much memory as little else.
+    """
     level = level.astype(np.float32, copy=False)
-    frames = np.empty_like(prepared.frames)
+    frames = prepared.frames if in_place else np.empty_like(prepared.frames)
 
     def divide(frame: NDArray, divisor: NDArray, out: NDArray) -> None:
         # part by part: a complex division by NaN warns
@@ -396,9 +405,12 @@ def _divided(prepared: PreparedBatch, level: NDArray) -> PreparedBatch:
                             for whole in (frame, out))
         np.divide(parts, divisor[..., None], out=quotients)
 
-    each_frame(divide, prepared.frames, np.broadcast_to(level, (len(frames), *level.shape[1:])),
-               frames)
-    return replace(prepared, frames=frames, noise_level=prepared.noise_level * level)
+    each_frame(divide, prepared.frames,
+               np.broadcast_to(level, (len(frames), *level.shape[1:])), frames)
+    before = prepared.noise_level
+    whole = level.shape == np.broadcast_shapes(level.shape, before.shape)
+    return replace(prepared, frames=frames,
+                   noise_level=np.multiply(before, level, out=level if whole else None))
 
 
 def _noise_level(prepared: PreparedBatch, method: str, floor: float, width_px: float,

@@ -80,7 +80,7 @@ class Searched:
 
 
 Observer = Callable[[Searched], None]
-# Finds the trajectories of a batch that is prepared; told of progress.
+# Finds the trajectories of a batch that is prepared, once; told of progress.
 BatchSearch = Callable[[Progress | None], DetectionResult]
 # What is searched instead of a background that is not one.
 BACKGROUNDS = {'either': ('temporal_median', 'spatial_median')}
@@ -242,8 +242,9 @@ class TrackingPipeline:
               progress: Progress | None = None) -> DetectionResult:
         """Find the trajectories of a batch that is prepared beside each background."""
         with told_of_compiling(progress, self._options):
-            results = [self._search(batch, one, background, progress)
-                       for one, background in zip(prepared, self._backgrounds, strict=True)]
+            # What was searched is let go.
+            results = [self._search(batch, prepared.pop(0), background, progress)
+                       for background in self._backgrounds]
         found = [trajectory for result in results for trajectory in result.trajectories]
         rejected = [trajectory for result in results for trajectory in result.rejected]
         if len(results) > 1:

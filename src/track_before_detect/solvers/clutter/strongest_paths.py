@@ -7,6 +7,8 @@ the two signs are searched apart, one after the other with the same tables.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from numpy.typing import NDArray
+
 from track_before_detect.solvers.clutter.path_tail import MOST_PATHS
 from track_before_detect.solvers.path_detector import Task
 from track_before_detect.solvers.refine.refinement import PathRefiner
@@ -69,7 +71,7 @@ class StrongestPaths:
 
     def refined(self, path: SignedPath) -> SignedPath:
         """Return a path moved to where it explains most."""
-        frames = path.sign * self.frames
+        frames = self._of_sign(path.sign)
         # Every threshold below a path refines it; it is not known yet.
         positions, cost = self._refiner.refine(
             frames, path.positions, path.cost, 1.0, 0.0) or (path.positions, path.cost)
@@ -91,9 +93,13 @@ class StrongestPaths:
         """Find the paths of a sign anew: beside one that is taken there may be others."""
         self._by_sign[sign] = self._found(sign)
 
+    def _of_sign(self, sign: int) -> NDArray:
+        """Return frames in which targets of a sign are bright."""
+        return self.frames if sign > 0 else -self.frames
+
     def _left(self, sign: int) -> list[SignedPath]:
         """Return the paths of a sign with their values in the present frames."""
-        frames = sign * self.frames
+        frames = self._of_sign(sign)
         return [replace(path, value=self._refiner.value(frames, path.positions, path.cost))
                 for path in self._by_sign[sign]]
 
@@ -108,7 +114,7 @@ class StrongestPaths:
         self._searched = sign
         for level in levels:
             _, found = self._search.best_paths(
-                sign * self.frames, level, self._separation, lambda _: True, N_PATHS)
+                self._of_sign(sign), level, self._separation, lambda _: True, N_PATHS)
             if len(found) >= ENOUGH:
                 break
         return [SignedPath(path.positions, path.value, path.cost, sign) for path in found]

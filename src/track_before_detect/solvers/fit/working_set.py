@@ -8,6 +8,7 @@ needs no pixels (Patent Eq. 6-8).
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 import math
 from typing import NamedTuple
@@ -139,8 +140,6 @@ class WorkingSet:
     matched : array, shape (P, T)
         Matched filter of the data along each path.
     amplitudes : array, shape (P, T)
-    residual : float32 array, shape (T, H, W)
-        Frames less the fit, to be read only.
     work : int
         Of all fits so far: the sum of the cubes of their members, as a Newton step takes.
     """
@@ -178,9 +177,6 @@ class WorkingSet:
         self._overlaps = np.zeros((64, n_frames))
         self._free_rows = list(range(63, 0, -1))
         self._sources: list[Source] = []
-        self._residual = frames.copy()
-        self.residual = self._residual.view()
-        self.residual.flags.writeable = False
         self.work = 0
         # Frame by frame, so that no copy of all frames in double precision is made.
         once = frames[:, :, :period]
@@ -190,6 +186,18 @@ class WorkingSet:
 
     def __len__(self) -> int:
         return len(self.positions)
+
+    @cached_property
+    def _residual(self) -> NDArray:
+        # Frames that are only looked at take no second copy of themselves.
+        return self.frames.copy()
+
+    @cached_property
+    def residual(self) -> NDArray:
+        """Frames less the fit, to be read only."""
+        view = self._residual.view()
+        view.flags.writeable = False
+        return view
 
     def add(self, positions: NDArray, cost: float) -> int:
         """Append a path with amplitude zero; return its number."""
