@@ -126,6 +126,8 @@ class ViterbiTable:
         self._stale = np.empty((0, 0, 0), np.uint64)
         self._stale_ends = np.empty((0, 0), np.uint64)
         self._filled = False
+        # Paths by their ends of which nothing has changed since they were traced.
+        self._traced: dict[tuple[int, int, int], TracedPath] = {}
 
     def fill(self, scores: NDArray, per_frame: float = 0.0) -> float:
         """Compute all states for scores of shape (T, Y, X); return the largest weight.
@@ -142,6 +144,7 @@ class ViterbiTable:
                       np.full_like(self._stale_ends, self._everything))
         self._stale.fill(0)
         self._stale_ends.fill(0)
+        self._traced.clear()
         self._filled = True
         return float(self.best.max())
 
@@ -158,6 +161,8 @@ class ViterbiTable:
         if rows is None:
             rows = np.ones(scores.shape[:2], bool)
         rise = self._mark_changes(np.ascontiguousarray(scores), rows, per_frame)
+        self._traced = {peak: path for peak, path in self._traced.items()
+                        if not self._is_stale(*peak)}
         for best, stale in zip(self.best, self._stale_ends, strict=True):
             self._over_rows(viterbi_update.raise_stale, best, stale, np.float32(rise),
                             self._layout)
@@ -216,11 +221,17 @@ class ViterbiTable:
                 found[peak] = self._tracer.trace(first + end, y, x, starts)
             viterbi_backtrack.leave_out(best, at, starts[first:], radius)
         if self._n_ends == 1:
-            found = {peak: self._tracer.trace(first, *peak[1:], starts)
-                     for peak in sorted(peaks, key=lambda peak: place_of_cone(*peak))}
+            for peak in sorted(peaks, key=lambda peak: place_of_cone(*peak)):
+                if peak not in self._traced:
+                    self._traced[peak] = self._tracer.trace(first, *peak[1:], starts)
+            found = self._traced
         if self._end_costs[0] is None:
             return [found[peak]._replace(value=float(self.best[peak])) for peak in peaks]
         return [found[peak] for peak in peaks]
+
+    def _is_stale(self, end: int, y: int, x: int) -> bool:
+        """Return whether what a path that ends there meets may be older than the scores."""
+        return bool(self._stale_ends[end, y] >> np.uint64(x // self._layout.block) & np.uint64(1))
 
     @property
     def _n_blocks(self) -> int:
