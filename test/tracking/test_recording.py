@@ -5,6 +5,7 @@ import pytest
 
 import track_before_detect as tbd
 from track_before_detect.options import DetectorOptions
+from track_before_detect.parallel import at_most_cores
 from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.tracking.pipeline import TrackingPipeline
@@ -191,6 +192,31 @@ def test_a_pipeline_that_is_passed_gets_what_one_that_is_made_gets():
                     for pipeline in (None, TrackingPipeline(options)))
     assert passed.remarks == made.remarks and len(made.remarks) == 3
     assert passed.n_batches == made.n_batches == 2
+
+
+def test_batches_that_are_prepared_ahead_give_what_one_after_the_other_gives():
+    frames, _ = moving_target(60)
+    frames += 100 + 20 * np.random.default_rng(3).standard_normal(frames.shape[1:])
+    options = {**OPTIONS, 'batch_length': 20, 'background': 'temporal_median', 'noise': 'robust'}
+    ahead = tbd.detect(frames, **options)
+    with at_most_cores(1):
+        alone = tbd.detect(frames, **options)
+    assert len(ahead.trajectories) == 1 and ahead.remarks == alone.remarks
+    for one, other in zip(ahead.trajectories, alone.trajectories, strict=True):
+        np.testing.assert_array_equal(one.positions, other.positions)
+
+
+def test_a_batch_that_cannot_be_prepared_ends_the_search_of_its_recording():
+    class Broken(_Recording):
+        def __getitem__(self, index):
+            if index == 30:
+                raise OSError('frame 30 cannot be read')
+            return super().__getitem__(index)
+
+    frames, _ = moving_target(40)
+    options = DetectorOptions(**OPTIONS, batch_length=10)
+    with pytest.raises(OSError, match='frame 30'):
+        detect_recording(Broken(frames, np.arange(40.0)), options)
 
 
 def test_progress_of_a_recording_rises_from_batch_to_batch():

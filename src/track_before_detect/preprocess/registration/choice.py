@@ -53,7 +53,7 @@ def register_simply(features: Sequence[NDArray]) -> Registration:
     if (tried.credible & tried.refined).all() and _better(
             smooth, shifts.reference, ends[ends != shifts.reference], chosen,
             turned) is turned:
-        return register_features(features, 'affine')
+        return register_features(features, 'affine', shifts.reference)
     return chosen
 
 

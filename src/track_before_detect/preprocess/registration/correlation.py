@@ -1,6 +1,7 @@
 """Registration by correlation: the shift of the scene between two images."""
 
 from dataclasses import dataclass
+import functools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -131,7 +132,7 @@ def _correlate(fixed: NDArray, moving: NDArray,
     """
     a, b = _overlap(fixed, moving, guess)
     rows, columns = a.shape
-    taper = np.outer(_taper(rows), _taper(columns))
+    taper = _taper(rows, columns)
     shape = fft.next_fast_len(rows, real=True), fft.next_fast_len(columns, real=True)
     spectrum = np.conj(fft.rfft2(a * taper, shape)) * fft.rfft2(b * taper, shape)
     spectrum *= _low_pass(shape) / np.maximum(np.abs(spectrum), 1e-12) ** _WHITENING
@@ -169,6 +170,8 @@ def _support(fixed: NDArray, moving: NDArray, shift: NDArray) -> int:
     return int(np.count_nonzero(sums > _TILE_AGREES * np.sqrt(squares)))
 
 
+# Most images are compared as a whole, and all of a batch are of one size.
+@functools.lru_cache(maxsize=2)
 def _low_pass(shape: tuple[int, int]) -> NDArray[np.float32]:
     """Return the low-pass in the frequency plane that gives the peak its width."""
     along_y, along_x = (np.exp(-0.5 * (2 * np.pi * _PEAK_SIGMA_PX * frequency) ** 2)
@@ -176,8 +179,13 @@ def _low_pass(shape: tuple[int, int]) -> NDArray[np.float32]:
     return np.outer(along_y, along_x).astype(np.float32)
 
 
-def _taper(length: int) -> NDArray[np.float32]:
-    """Return a window of ones with raised-cosine ends."""
+@functools.lru_cache(maxsize=2)
+def _taper(*shape: int) -> NDArray[np.float32]:
+    """Return a window of ones with raised-cosine ends along each axis."""
+    return np.outer(*map(_tapered_line, shape))
+
+
+def _tapered_line(length: int) -> NDArray[np.float32]:
     ramp = max(1, int(_TAPER * length))
     window = np.ones(length, np.float32)
     window[:ramp] = 0.5 - 0.5 * np.cos(np.pi * (np.arange(ramp) + 0.5) / ramp)

@@ -11,6 +11,7 @@ with one. A step is one system of 6 or 8 equations, which is why it is written o
 """
 
 from dataclasses import dataclass
+import functools
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,12 +69,9 @@ class Template:
 
     def _chosen(self, image: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return points (N, 2) where an image changes most, in every tile, and what is there."""
-        slope = np.hypot(ndimage.sobel(image, 0), ndimage.sobel(image, 1))
-        rows, columns = np.mgrid[self._stride // 2:image.shape[0]:self._stride,
-                                 self._stride // 2:image.shape[1]:self._stride]
-        points = np.column_stack([columns.ravel(), rows.ravel()])
-        tile = (points * _TILES // np.array(image.shape[::-1])) @ (1, _TILES)
-        strength = slope[points[:, 1], points[:, 0]]
+        points, tile = _candidates(image.shape, self._stride)
+        strength = np.hypot(*(ndimage.sobel(image, axis)[points[:, 1], points[:, 0]]
+                              for axis in (0, 1)))
         order = np.lexsort((-strength, tile))
         rank = np.arange(len(order)) - np.searchsorted(tile[order], tile[order])
         chosen = points[order[(rank < _MOST_POINTS // _TILES**2) & (strength[order] > 0)]]
@@ -201,6 +199,14 @@ class _Problem:
         mapped_motion(points, self._middle, self._scale, self._change(parameters), self._outer,
                       motion)
         return motion
+
+
+@functools.lru_cache(maxsize=1)
+def _candidates(shape: tuple[int, int], stride: int) -> tuple[NDArray[np.int64], NDArray]:
+    """Return pixels (N, 2) that are ``stride`` apart, and the tile of each."""
+    rows, columns = np.mgrid[stride // 2:shape[0]:stride, stride // 2:shape[1]:stride]
+    points = np.column_stack([columns.ravel(), rows.ravel()])
+    return points, (points * _TILES // np.array(shape[::-1])) @ (1, _TILES)
 
 
 def _sampled(image: NDArray, positions: NDArray) -> NDArray[np.float64]:
