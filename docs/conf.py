@@ -11,10 +11,12 @@ import re
 import shutil
 import subprocess
 import sys
+from typing import Any
 
 from docutils import nodes
 from latex2mathml.converter import convert
 from sphinx.application import Sphinx
+from sphinx_gallery.scrapers import figure_rst
 
 import track_before_detect
 from track_before_detect.option_tables import with_tables
@@ -52,7 +54,19 @@ nitpick_ignore = [('py:class', name) for name in (
 napoleon_google_docstring = False
 napoleon_use_ivar = True
 
+
+
+def saved_pictures(block: tuple, variables: dict[str, Any], gallery: dict[str, Any]) -> str:
+    """Show what a cell of an example has drawn into a file."""
+    shown = []
+    for drawn in sorted(EXAMPLES.glob('*.png')):
+        shown.append(next(variables['image_path_iterator']))
+        shutil.move(drawn, shown[-1])
+    return figure_rst(shown, gallery['src_dir'])
+
+
 sphinx_gallery_conf = {
+    'image_scrapers': (saved_pictures,),
     'examples_dirs': [str(EXAMPLES)],
     'gallery_dirs': ['docs/gallery'],
     'filename_pattern': r'\.py$',
