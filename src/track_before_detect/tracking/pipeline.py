@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 import logging
 
 import numpy as np
@@ -56,6 +56,10 @@ _LOG = logging.getLogger(__name__)
 MOST_SPREAD = 3.0
 # Median interval of frames beyond which stamps cannot be seconds.
 INTERVALS_S = (1e-12, 1e12)
+
+# Of a larger batch the background is taken off only when it is searched: frames without it take
+# several times the memory of those that came.
+MOST_PIXELS_AHEAD = 2**21
 
 # The detectors by the names in options.DETECTORS.
 DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
@@ -233,17 +237,20 @@ class TrackingPipeline:
         width_px = psf_of(self._options).width_px
         with told_of_compiling(progress, self._options):
             seen = pictures(batch, self._options, width_px, self._kept)
-            prepared = [noise_of_one(
-                seen, batch, self._options.replace(background=background), width_px, self._kept)
-                for background in self._backgrounds]
-        return partial(self._find, batch, prepared)
+            steps: list[Callable[[], PreparedBatch]] = [cache(partial(
+                noise_of_one, seen, batch, self._options.replace(background=background),
+                width_px, self._kept)) for background in self._backgrounds]
+            if batch.frames.size <= MOST_PIXELS_AHEAD:
+                for step in steps:
+                    step()
+        return partial(self._find, batch, steps)
 
-    def _find(self, batch: FrameBatch, prepared: list[PreparedBatch],
+    def _find(self, batch: FrameBatch, steps: list[Callable[[], PreparedBatch]],
               progress: Progress | None = None) -> DetectionResult:
-        """Find the trajectories of a batch that is prepared beside each background."""
+        """Find the trajectories of a batch, which the steps prepare beside each background."""
         with told_of_compiling(progress, self._options):
             # What was searched is let go.
-            results = [self._search(batch, prepared.pop(0), background, progress)
+            results = [self._search(batch, steps.pop(0)(), background, progress)
                        for background in self._backgrounds]
         found = [trajectory for result in results for trajectory in result.trajectories]
         rejected = [trajectory for result in results for trajectory in result.rejected]
