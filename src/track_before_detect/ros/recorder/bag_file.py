@@ -3,6 +3,7 @@
 import errno
 import os
 from pathlib import Path
+import struct
 from typing import cast, IO
 
 from mcap.data_stream import RecordBuilder
@@ -11,6 +12,10 @@ from mcap.writer import CompressionType, MCAP0_MAGIC, Writer
 
 COMPRESSIONS = {'none': CompressionType.NONE, 'lz4': CompressionType.LZ4,
                 'zstd': CompressionType.ZSTD}
+# Kind and length of a record, a kind that the format leaves to applications and readers skip.
+_SKIPPED, _PRIVATE = struct.Struct('<BQ'), 0x80
+# What the file grows by beyond what is needed: a hole, which takes no room on the disk.
+_GROWTH, _PAGE = 2**22, 4096
 PROFILE, SCHEMA_ENCODING, MESSAGE_ENCODING = 'ros2', 'ros2msg', 'cdr'
 
 
@@ -74,13 +79,16 @@ class BagFile:
 class _EndedFile:
     """What the writer takes for its file: holds what is written until it is committed.
 
-    A commit overwrites the end of the file and ends it anew in one call, so that a process that is
-    killed leaves a file with an end.
+    Between what is safe and the end of the file there is always a record that readers skip. What
+    is committed is set into it first, where nobody sees it, then over its first bytes. Whenever
+    the process is killed, also within a write, the file is whole.
     """
 
     def __init__(self, path: Path) -> None:
         self._descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         self._held = bytearray()
+        # Of the contents of the record that is skipped; there is none yet.
+        self._room = -_SKIPPED.size
         self.n_safe = 0
         end = RecordBuilder()
         DataEnd(0).write(end)
@@ -102,21 +110,40 @@ class _EndedFile:
         """Nothing: a commit is asked for by itself."""
 
     def commit(self, is_last: bool = False) -> None:
-        if not self._held:
+        n_held, at = len(self._held), self.n_safe
+        if not n_held:
             return
-        end = b'' if is_last else self._end
-        try:
-            n_written = os.pwritev(self._descriptor, [self._held, end], self.n_safe)
-            if n_written < len(self._held) + len(end):
-                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        except OSError:
-            # Back to the end of before, whose place in the file is taken already.
-            if self.n_safe:
-                os.pwrite(self._descriptor, self._end, self.n_safe)
-                os.ftruncate(self._descriptor, self.n_safe + len(self._end))
-            raise
-        self.n_safe += len(self._held)
+        if n_held > self._room:
+            self._grow(n_held)
+        room = self._room - n_held
+        with memoryview(self._held) as view:
+            self._put([view[_SKIPPED.size:], _SKIPPED.pack(_PRIVATE, room)], at + _SKIPPED.size)
+            if is_last:
+                # Now it ends with the index, which does not lead to what is skipped.
+                os.ftruncate(self._descriptor, at + n_held)
+            self._put([view[:_SKIPPED.size]], at)
+        self.n_safe, self._room = at + n_held, room
         self._held.clear()
 
     def close(self) -> None:
         os.close(self._descriptor)
+
+    def _grow(self, n_more: int) -> None:
+        """Put a new end so far off that there is room for so much, and skip up to it."""
+        size = -(-(self.n_safe + n_more + _GROWTH) // _PAGE) * _PAGE
+        room = size - len(self._end) - self.n_safe - _SKIPPED.size
+        if self.n_safe:
+            # First, so that the old end, which is going to be in the middle, is not read.
+            self._put([_SKIPPED.pack(_PRIVATE, room)], self.n_safe)
+        try:
+            # Within a page, which no signal interrupts.
+            self._put([self._end], size - len(self._end))
+        except OSError:
+            if self.n_safe:
+                self._put([_SKIPPED.pack(_PRIVATE, self._room)], self.n_safe)
+            raise
+        self._room = room
+
+    def _put(self, parts: list[bytes | memoryview], at: int) -> None:
+        if os.pwritev(self._descriptor, parts, at) < sum(map(len, parts)):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
