@@ -50,7 +50,7 @@ def test_frames_trajectories_truth_and_statistic_are_shown_over_time(
         # The middle of the first pixel is at half a pixel there.
         where = np.array([10 + 0.5 * frame, 12]) + 0.5
         shown = rows['/frame/trajectories'][frame]
-        np.testing.assert_allclose(shown['positions'], [where], atol=0.5)
+        np.testing.assert_allclose(shown['centers'], [where], atol=0.5)
         assert shown['labels'][0].startswith('1  ')
         np.testing.assert_allclose(rows['/frame/truth'][frame]['positions'], [where])
         assert len(rows['/frame/trails'][frame]['strips']) == (frame > 0)

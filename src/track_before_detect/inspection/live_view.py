@@ -21,6 +21,8 @@ from track_before_detect.types import DetectionResult
 
 # Black and white of what is searched, in deviations of the noise.
 _SHOWN_DEVIATIONS = (-3.0, 8.0)
+# Side of the box around a target, which shows in it.
+_BOX_PX = 8.0
 # Frames of a trajectory that are seen behind it.
 _TRAIL = 25
 
@@ -50,6 +52,10 @@ class LiveView:
         if background not in self._backgrounds:
             self._backgrounds.append(background)
             self._stream.send_blueprint(_blueprint(self._backgrounds))
+            for name in ('threshold', 'strongest_path'):
+                # A point for each batch: a line would not show where there is but one.
+                self._stream.log(f'statistic/{background}/{name}', _rerun().SeriesPoints(
+                    marker_sizes=4.0), static=True)
         for k, number in enumerate(prepared.frame_indices.tolist()):
             self._set_frame(number)
             if self._is_new('frame', number):
@@ -75,8 +81,9 @@ class LiveView:
             # Pixel centres are whole numbers here, and half a pixel further there.
             lines = [(one, points + 0.5) for one, points, _ in trails if len(points) > 1]
             self._set_frame(number)
-            self._stream.log('frame/trajectories', rerun.Points2D(
-                np.reshape([point for _, point in here], (-1, 2)), radii=2.0,
+            self._stream.log('frame/trajectories', rerun.Boxes2D(
+                centers=np.reshape([point for _, point in here], (-1, 2)),
+                half_sizes=np.full((len(here), 2), _BOX_PX / 2),
                 colors=[colour_of(one.id) for one, _ in here],
                 labels=[f'{one.id}  {one.snr:.1f}' for one, _ in here]))
             self._stream.log('frame/trails', rerun.LineStrips2D(
@@ -88,7 +95,7 @@ class LiveView:
         truth = self._recording.truth
         if truth is not None:
             self._stream.log('frame/truth', _rerun().Points2D(
-                truth[truth[:, 0] == number, 2:] + 0.5, radii=1.0, colors=(255, 255, 255)))
+                truth[truth[:, 0] == number, 2:] + 0.5, radii=0.5, colors=(255, 255, 255)))
 
     def _is_new(self, what: str, number: int) -> bool:
         if (what, number) in self._shown:

@@ -95,7 +95,7 @@ def _draw(drawing: Any, trajectory: Trajectory, index: int, length: int, factor:
         return
     points = (positions + 0.5) * factor - 0.5
     colour = colour_of(trajectory.id)
-    drawing.line([*map(tuple, points)], fill=colour, width=2)
+    drawing.line([*map(tuple, points)], fill=colour, width=3)
     if is_there:
         x, y = points[-1]
         drawing.ellipse((x - 9, y - 9, x + 9, y + 9), outline=colour, width=2)
