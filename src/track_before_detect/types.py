@@ -220,6 +220,10 @@ class DetectionResult:
     rejected : list of Trajectory
         Candidates that are no target, each with its ``reason``, where the detector looks for
         reasons (``calibration=clutter``): id 0.
+    threshold_source : str
+        Where the threshold comes from: ``given``, ``model`` of noise, ``simulated`` noise,
+        ``cached`` where it was simulated before, the ``batch`` itself (``calibration=clutter``);
+        several where batches or amplitude models differ. Empty where nothing was searched.
     """
 
     trajectories: list[Trajectory]
@@ -231,6 +235,7 @@ class DetectionResult:
     n_batches: int = 1
     remarks: list[str] = field(default_factory=list)
     rejected: list[Trajectory] = field(default_factory=list)
+    threshold_source: str = ''
 
     def __repr__(self) -> str:
         head = (f'DetectionResult({len(self.trajectories)} trajectories, '

@@ -70,7 +70,8 @@ def test_signals_at_any_time_after_the_start_end_it_in_time_without_a_traceback(
 @pytest.mark.alone
 @pytest.mark.parametrize('doing', ['compiling', 'calibrating'])
 def test_a_signal_ends_a_preparation(launch, tmp_path, monkeypatch, doing):
-    # No threshold is in the cache; loops are only where they are not what is waited for.
+    # No threshold is in the cache or known by the model; loops are only where they are not what is
+    # waited for.
     if doing == 'calibrating':
         loops = tmp_path / 'track_before_detect' / 'loops'
         loops.parent.mkdir()
@@ -80,7 +81,8 @@ def test_a_signal_ends_a_preparation(launch, tmp_path, monkeypatch, doing):
         monkeypatch.setenv('NUMBA_CACHE_DIR', str(tmp_path))
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     detector = launch('detector', '-p', 'frame_height:=256', '-p', 'frame_width:=320', '-p',
-                      'frame_rate_hz:=10.0', '-p', 'preset:=none')
+                      'frame_rate_hz:=10.0', '-p', 'preset:=none', '-p',
+                      'psf_model:=integrated_gaussian')
     detector.wait_for_line(doing)
     time.sleep(0.2)
     assert end(detector.process, signal.SIGINT, signal.SIGINT) < LONGEST_S

@@ -5,6 +5,7 @@ import pytest
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers import batch_detector as module
+from track_before_detect.solvers.calibration.threshold import Calibration
 from track_before_detect.solvers.convex.detector import ConvexDetector
 
 REGULAR = 0.04 * np.arange(12)
@@ -18,7 +19,8 @@ GENERATOR = np.random.default_rng(1)
 ])
 def test_irregular_stamps_share_the_calibration_of_regular_ones(stamps, monkeypatch):
     calls = []
-    monkeypatch.setattr(module, 'threshold_for', lambda *_: calls.append(1) or 8.0)
+    monkeypatch.setattr(
+        module, 'calibrate', lambda *_: calls.append(1) or Calibration(8.0, 'simulated'))
     detector = ConvexDetector(DetectorOptions(max_speed_px_s=20))
     for batch in (REGULAR, stamps):
         assert detector.threshold(batch, (32, 32)) == 8.0
@@ -27,7 +29,8 @@ def test_irregular_stamps_share_the_calibration_of_regular_ones(stamps, monkeypa
 
 def test_other_lengths_shapes_and_rates_are_calibrated_anew(monkeypatch):
     calls = []
-    monkeypatch.setattr(module, 'threshold_for', lambda *_: calls.append(1) or 8.0)
+    monkeypatch.setattr(
+        module, 'calibrate', lambda *_: calls.append(1) or Calibration(8.0, 'simulated'))
     detector = ConvexDetector(DetectorOptions(max_speed_px_s=20))
     detector.threshold(REGULAR, (32, 32))
     detector.threshold(REGULAR[:8], (32, 32))

@@ -126,7 +126,7 @@ def test_very_bright_targets_leave_nothing_that_looks_like_another(spread, sigma
 
 def test_dim_target_of_constant_amplitude_is_found_beside_bright_ones_that_fluctuate():
     dim, bright = line(9, 20), line(9, 25)
-    frames = frames_of((bright, 30 * FREE), (line(20, 34), 30 * FREE), (dim, 1.9 * STEADY),
+    frames = frames_of((bright, 30 * FREE), (line(20, 34), 30 * FREE), (dim, 1.8 * STEADY),
                        noise=0.3)
     assert len(search(frames, 'fluctuating').found) == 2
     result = search(frames)
@@ -165,12 +165,16 @@ def test_batches_go_on_from_those_before_under_one_identity():
     assert np.isfinite(found.positions).all() and error_px(found, path) < 0.7
 
 
-def test_warm_up_prepares_both_models():
+@pytest.mark.parametrize(('psf_model', 'n_searches'), [
+    pytest.param('gaussian', 0, id='thresholds known'),
+    pytest.param('integrated_gaussian', 2, id='thresholds searched')])
+def test_warm_up_prepares_both_models(psf_model, n_searches):
     told = []
-    pipeline = TrackingPipeline(DetectorOptions(amplitude_model='either', max_speed_px_s=0.7))
+    pipeline = TrackingPipeline(DetectorOptions(
+        amplitude_model='either', max_speed_px_s=0.7, psf_model=psf_model))
     threshold = pipeline.warm_up((H, W), 1.0, T, lambda label, share: told.append((label, share)))
     assert told[0] == ('compiling', 0.0) and ('compiling', 1.0) in told
-    assert [share for _, share in told].count(1.0) == 3
+    assert [share for _, share in told].count(1.0) == 1 + n_searches
     frames = frames_of((line(9, 20), 7 * STEADY))
     told.clear()
     result = pipeline.process(FrameBatch.of(frames), lambda *now: told.append(now))

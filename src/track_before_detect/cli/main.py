@@ -12,6 +12,7 @@ from typing import NoReturn
 from track_before_detect import __version__
 from track_before_detect.cli import (
     bench,
+    calibrate,
     config,
     detect,
     doctor,
@@ -126,7 +127,8 @@ def _run(arguments: Sequence[str] | None) -> int:
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title='commands', metavar='COMMAND')
     for command in (
-            detect, plan, view, inspect, simulate, evaluate, bench, warm_up, config, doctor):
+            detect, plan, view, inspect, simulate, evaluate, calibrate, bench, warm_up, config,
+            doctor):
         command.add_parser(commands)
     parser.add_argument('--print-completion', metavar='SHELL', action=PrintCompletion,
                         choices=SHELLS, help='print what lets a shell complete commands and '

@@ -12,7 +12,8 @@ distribution of its own. These are the doors of the rest that it goes through:
   ``recordings.video``, ``tracking.recording``;
 - scenes: ``simulation.motions``, ``simulation.scenarios``, ``simulation.sensor``;
 - detectors: ``tracking.pipeline``, ``tracking.presets``, ``solvers.batch_detector``,
-  ``solvers.calibration.noise_study``;
+  ``solvers.calibration.false_paths``, ``solvers.calibration.noise_study``,
+  ``solvers.calibration.threshold``;
 - the methods of the papers, whose parts are measured: ``models.motion.transition_sets``,
   ``models.motion.velocity_candidates``, ``solvers.cancellation.mt_dp``,
   ``solvers.cancellation.pc_dp``, ``solvers.cancellation.target_cancellation``,

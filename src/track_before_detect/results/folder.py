@@ -74,6 +74,7 @@ def summary_of(found: Found, seconds: float, version: str) -> dict[str, Any]:
         'status': result.status,
         'remarks': result.remarks,
         'threshold': result.threshold,
+        'threshold_source': result.threshold_source,
         'best_statistic': result.best_statistic,
         'gap': result.gap,
         'n_trajectories': len(result.trajectories),

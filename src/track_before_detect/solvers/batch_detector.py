@@ -1,7 +1,11 @@
 """What every detector of one batch offers: a threshold and a result."""
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+import logging
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +14,14 @@ from track_before_detect.capabilities import check_options
 from track_before_detect.checks import check_kind
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
-from track_before_detect.solvers.calibration.threshold import threshold_for
+from track_before_detect.solvers.calibration.threshold import calibrate, Calibration
 from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress, Step
 
+_LOG = logging.getLogger(__name__)
+# What is said of a threshold, by its source.
+_SOURCES = {'model': 'by the model of noise; tbd calibrate searches noise',
+            'cached': 'by noise that was searched before', 'simulated': 'by a search of noise'}
 # Relative difference of frame intervals that share a calibration.
 SAME_INTERVAL = 0.2
 # Largest speed in clutter unless told, px a frame.
@@ -91,30 +99,53 @@ class BatchDetector(ABC):
     ------
     ParameterError
         An option asks for what this detector cannot do.
+
+    Attributes
+    ----------
+    threshold_source : str
+        Where the last threshold comes from: given, model, cached or simulated (see
+        ``solvers.calibration.threshold``), or batch; empty before there is one.
     """
 
     def __init__(self, options: DetectorOptions):
         check_options(options)
         self.options = options
         # Thresholds for numbers of frames and shapes, each with the frame interval it is for.
-        self._thresholds: dict[tuple, list[tuple[float, float]]] = {}
+        self._thresholds: dict[tuple, list[tuple[float, Calibration]]] = {}
+        self.threshold_source = ''
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
                   progress: Progress | None = None) -> float:
         """Return the threshold for batches of this shape, calibrating it where it is unknown."""
         if self.options.threshold is not None:
+            self.threshold_source = 'given'
             return self.options.threshold
         # Lost frames, jitter and a drifting clock change the threshold by a few hundredths; a
         # calibration for each pattern would stop a stream for half a minute at every lost frame.
         interval = median_interval(stamps)
         known = self._thresholds.setdefault((len(stamps), shape), [])
-        for calibrated_interval, threshold in known:
+        for calibrated_interval, calibration in known:
             if abs(interval / calibrated_interval - 1) <= SAME_INTERVAL:
-                return threshold
+                self.threshold_source = calibration.source
+                return calibration.threshold
         study = self.noise_study(interval * np.arange(len(stamps)), shape)
-        threshold = threshold_for(study, shape, self.options.false_alarm_rate, progress)
-        known.append((interval, threshold))
-        return threshold
+        calibration = self.calibrated(study, shape, progress)
+        known.append((interval, calibration))
+        return calibration.threshold
+
+    def calibrated(self, study: NoiseStudy, shape: tuple[int, int],
+                   progress: Progress | None) -> Calibration:
+        """Return the threshold that the false alarm rate asks for, and say where it is from."""
+        rate = self.options.false_alarm_rate
+        calibration = calibrate(study, shape, rate, progress)
+        self.threshold_source = calibration.source
+        _LOG.info('the threshold of %.4g for a false alarm rate of %.3g is known %s',
+                  calibration.threshold, rate, _SOURCES[calibration.source])
+        return calibration
+
+    def parts(self) -> Sequence[BatchDetector]:
+        """Return the detectors that have a threshold each, which a batch is searched with."""
+        return [self]
 
     def check_kind(self, frames: NDArray) -> None:
         """Refuse complex frames for real amplitudes, and real ones for complex amplitudes."""

@@ -16,6 +16,7 @@ and those targets of which a constant amplitude would leave enough for a path ar
 frames. What only the second search finds has to pass on the frames less what only the first found.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 import math
 
@@ -70,6 +71,10 @@ class EitherDetector(BatchDetector):
         """Return the threshold on the statistics of results, calibrating both models."""
         return self._thresholds_of_both(stamps, shape, progress)[0]
 
+    def parts(self) -> Sequence[BatchDetector]:
+        """Return the detectors of both models."""
+        return self._detectors
+
     def noise_study(self, stamps: NDArray, shape: tuple[int, int]) -> NoiseStudy:
         """Return that of fluctuating amplitudes, on whose scale statistics are."""
         return self._detectors[0].noise_study(stamps, shape)
@@ -103,6 +108,8 @@ class EitherDetector(BatchDetector):
                             progress: Progress | None) -> tuple[float, float]:
         free, constant = (one.threshold(stamps, shape, progress) for one in self._detectors)
         given = self.options.threshold
+        self.threshold_source = 'given' if given is not None else ', '.join(
+            dict.fromkeys(one.threshold_source for one in self._detectors))
         if given is None:
             return free, constant
         return given, math.sqrt(max(given**2 - (free**2 - constant**2),

@@ -28,9 +28,8 @@ from track_before_detect.solvers.batch_detector import (
     max_speed,
     SAME_INTERVAL,
 )
-from track_before_detect.solvers.calibration.noise_study import NoiseStudy
+from track_before_detect.solvers.calibration.noise_study import FalsePaths, NoiseStudy
 from track_before_detect.solvers.calibration.path_noise import path_noise_study
-from track_before_detect.solvers.calibration.threshold import threshold_for
 from track_before_detect.solvers.fit.working_set import WorkingSet
 from track_before_detect.solvers.graph_builder import GraphBuilder
 from track_before_detect.solvers.noise_check import passes_everywhere, threshold_bound
@@ -232,6 +231,11 @@ class PathDetector(BatchDetector):
         """Return a function that returns the largest value of any path in frames of noise."""
         return search.best_value
 
+    def false_paths(self, graph: StateGraph, measurement: MeasurementModel,
+                    columns: PeriodicColumns, shape: tuple[int, int]) -> FalsePaths | None:
+        """Return how many paths of noise pass a level, None where only a search can tell."""
+        return None
+
     def _graph(self, stamps: NDArray, measurement: MeasurementModel,
                shape: tuple[int, int]) -> StateGraph:
         margin = doppler_columns(self.options, measurement, shape[1]).margin
@@ -249,8 +253,8 @@ class PathDetector(BatchDetector):
             if ((counts & known).total() >= SAME_FRAMES * max(counts.total(), known.total())
                     and abs(lasts - known_lasts) <= SAME_INTERVAL * known_lasts):
                 return threshold
-        threshold = threshold_for(self._noise_study(stamps, measurement, shape), shape,
-                                  self.options.false_alarm_rate, progress)
+        study = self._noise_study(stamps, measurement, shape)
+        threshold = self.calibrated(study, shape, progress).threshold
         self._of_sensors.append((lasts, counts, threshold))
         return threshold
 
@@ -269,7 +273,8 @@ class PathDetector(BatchDetector):
 
         columns = columns_of(self.options, measurement, shape[1], graph)
         return path_noise_study(type(self).__name__, graph, measurement, columns, self.scale,
-                                searcher, self.refined_in_noise)
+                                searcher, self.refined_in_noise,
+                                self.false_paths(graph, measurement, columns, shape))
 
     def _measurement(self, stamps: NDArray, taken: NDArray | None = None) -> MeasurementModel:
         """Return what a target looks like in frames taken at ``stamps``, by which sensor."""

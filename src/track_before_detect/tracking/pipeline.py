@@ -297,7 +297,8 @@ class TrackingPipeline:
                      f'not searched: {self._what_to_set(middle)}')
             remarks += self._remarks.new([Remark('not_noise', words)])
         return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
-                               result.best_statistic, rejected=rejected, remarks=remarks)
+                               result.best_statistic, rejected=rejected, remarks=remarks,
+                               threshold_source=self._detector.threshold_source)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""

@@ -192,7 +192,9 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         float(np.fmax.reduce([result.best_statistic for result in results])), len(results),
         [*reasons, *remarks],
         [one for result in results for one in result.rejected
-         if id(one.positions) not in carried])
+         if id(one.positions) not in carried],
+        ', '.join(dict.fromkeys(result.threshold_source for result in results
+                                if result.threshold_source)))
 
 
 def _prepared(cut: Iterable[FrameBatch], pipeline: BatchPipeline, n_frames: int,

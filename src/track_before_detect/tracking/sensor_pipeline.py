@@ -111,7 +111,8 @@ class SensorPipeline:
             [self._on_plane(found, units, batch) for found in result.found])
         return DetectionResult(list(self._before), result.threshold, result.status,
                                result.history, result.gap, result.best_statistic,
-                               remarks=remarks)
+                               remarks=remarks,
+                               threshold_source=self._detector.threshold_source)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""

@@ -6,7 +6,9 @@ from track_before_detect.evaluation.studies.accuracy import suite as accuracy
 from track_before_detect.evaluation.studies.compare import suite as compare
 from track_before_detect.evaluation.studies.detection import suite as detection
 from track_before_detect.evaluation.studies.dim import suite as dim
+from track_before_detect.evaluation.studies.false_alarms import modelled
 from track_before_detect.evaluation.studies.false_alarms import suite as false_alarms
+from track_before_detect.evaluation.studies.false_paths import suite as false_paths
 from track_before_detect.evaluation.studies.parallel import suite as parallel
 from track_before_detect.evaluation.studies.patent import suite as patent
 from track_before_detect.evaluation.studies.range_doppler import suite as range_doppler
@@ -21,6 +23,8 @@ SUITES: dict[str, Suite] = {
     'dim': dim.SUITE,
     'accuracy': accuracy.SUITE,
     'false-alarms': false_alarms.SUITE,
+    'modelled-alarms': modelled.SUITE,
+    'false-paths': false_paths.SUITE,
     'ring-single': ring_single.SUITE,
     'ring-multi': ring_multi.SUITE,
     'parallel': parallel.SUITE,

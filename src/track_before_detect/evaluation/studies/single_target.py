@@ -28,9 +28,10 @@ def random_path(rng: np.random.Generator, motion: str) -> NDArray[np.float64]:
     return centred_path(heading, speed, turn, N_FRAMES)
 
 
-def noise(rng: np.random.Generator, side_px: int) -> NDArray[np.float32]:
+def noise(rng: np.random.Generator, side_px: int,
+          n_frames: int = N_FRAMES) -> NDArray[np.float32]:
     """Return square frames of noise."""
-    return rng.standard_normal((N_FRAMES, side_px, side_px), np.float32)
+    return rng.standard_normal((n_frames, side_px, side_px), np.float32)
 
 
 def frames_with(rng: np.random.Generator, side_px: int, path: NDArray, snr: float,

@@ -117,10 +117,13 @@ class StateGraph:
         if self.coupling is not None:
             room = shape[0] - self.coupling.travel(shape[1])
             return float(np.sum(np.maximum(room, 0.5)))
+        return float(self.rooms(shape, around).prod(axis=1).mean())
+
+    def rooms(self, shape: tuple[int, int], around: bool = False) -> NDArray[np.float64]:
+        """Return width and height (V, 2) of where a straight path of each velocity can start."""
         extent = self.step_px * np.abs(self.end_moves.sum(axis=0))
         extent[:, 0] *= not around
-        room = np.maximum(np.array([shape[1], shape[0]]) - extent, 0.5)
-        return float(np.mean(room[:, 0] * room[:, 1]))
+        return np.maximum(np.array([shape[1], shape[0]]) - extent, 0.5)
 
     def fingerprint(self) -> str:
         """Return a text that differs between graphs with different paths or costs."""

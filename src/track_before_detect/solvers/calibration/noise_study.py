@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 # Smallest side of crops of noise whose maxima can be scaled to larger frames: paths near a border
 # have fewer ways to go.
 CROP_PX = 128
+# Told a level, returns how many trajectories of noise pass it in a batch on average.
+FalsePaths = Callable[[float], float]
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,9 @@ class NoiseStudy:
     decay : float, optional
         Of a statistic that is a norm or a weighted sum of normal numbers: one over twice their
         variance, 1/2 for real noise and 1 for complex.
+    false_paths : callable, optional
+        Told a level, returns how many trajectories of noise pass it in a whole batch on average;
+        None where that is not known without a search.
     """
 
     key: str
@@ -44,6 +49,7 @@ class NoiseStudy:
     seconds: Callable[[tuple[int, int]], float] = lambda shape: 0.0
     least_crop_px: int = CROP_PX
     decay: float | None = None
+    false_paths: FalsePaths | None = None
 
 
 def noise_frames(generator: np.random.Generator, shape: tuple[int, ...],

@@ -8,7 +8,11 @@ from numpy.typing import NDArray
 from track_before_detect.models.measurement.base import grid_shape, MeasurementModel
 from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.solvers.calibration.calibration_cost import search_seconds
-from track_before_detect.solvers.calibration.noise_study import noise_frames, NoiseStudy
+from track_before_detect.solvers.calibration.noise_study import (
+    FalsePaths,
+    noise_frames,
+    NoiseStudy,
+)
 from track_before_detect.solvers.path_statistic import PathStatistic
 from track_before_detect.solvers.search.periodic_columns import PeriodicColumns
 
@@ -16,7 +20,7 @@ from track_before_detect.solvers.search.periodic_columns import PeriodicColumns
 def path_noise_study(name: str, graph: StateGraph, measurement: MeasurementModel,
                      columns: PeriodicColumns, scale: PathStatistic,
                      largest_value: Callable[[tuple[int, int]], Callable[[NDArray], float]],
-                     n_refined: int) -> NoiseStudy:
+                     n_refined: int, false_paths: FalsePaths | None) -> NoiseStudy:
     """Return how to find the largest statistic of any path in noise.
 
     Parameters
@@ -36,6 +40,8 @@ def path_noise_study(name: str, graph: StateGraph, measurement: MeasurementModel
         frames of it.
     n_refined : int
         Paths whose positions are refined.
+    false_paths : callable, optional
+        How many paths of noise pass a level; see :class:`NoiseStudy`.
     """
     model, margin = scale.amplitudes, columns.margin
     coupled = graph.coupling is not None
@@ -61,4 +67,5 @@ def path_noise_study(name: str, graph: StateGraph, measurement: MeasurementModel
 
     return NoiseStudy(
         f'{name} {graph.fingerprint()} {measurement.key} {model} {scale.presence} {margin > 0}',
-        area, searcher, coupled, seconds, decay=1.0 if model.is_complex else 0.5)
+        area, searcher, coupled, seconds, decay=1.0 if model.is_complex else 0.5,
+        false_paths=false_paths)

@@ -1,9 +1,11 @@
-"""The threshold that a requested false alarm rate asks for, found by searching noise.
+"""The threshold that a requested false alarm rate asks for.
 
-The largest statistic in pure noise is simulated on crops of the frame. Crops are independent and
-alike, so the number of false trajectories in a frame is Poisson with a mean that grows with the
-effective area. How that mean falls off further out than the maxima reach is known but for one
-number where the statistic is made of normal ones; otherwise it is taken to fall exponentially.
+How many paths of noise pass a level is known without a search for the commonest options, see
+``false_paths``; for others noise is searched. The largest statistic in it is simulated on crops of
+the frame. Crops are independent and alike, so the number of false trajectories in a frame is
+Poisson with a mean that grows with the effective area. How that mean falls off further out than
+the maxima reach is known but for one number where the statistic is made of normal ones; otherwise
+it is taken to fall exponentially.
 """
 
 import hashlib
@@ -13,6 +15,7 @@ import os
 from pathlib import Path
 import tempfile
 import threading
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +24,7 @@ from scipy.optimize import brentq
 from track_before_detect.atomic_files import atomic_path
 from track_before_detect.kernels.compiled_cache import user_cache_folder
 from track_before_detect.parallel import map_in_threads
-from track_before_detect.solvers.calibration.noise_study import CROP_PX, NoiseStudy
+from track_before_detect.solvers.calibration.noise_study import CROP_PX, FalsePaths, NoiseStudy
 from track_before_detect.types import Progress
 
 _LOG = logging.getLogger(__name__)
@@ -42,13 +45,35 @@ TAIL = 0.25
 N_EXPONENTIAL = 150
 EXPONENTIAL_TAIL = 3 / 16
 SEED = 20240720
+# Levels between which the one of a model is looked for, from above.
+HIGHEST_LEVEL, LEVEL_STEP = 40.0, 0.5
 # Part of the key of every cached calibration: change it when the search gives other values.
 REVISION = 6
 
 
+# Where a threshold comes from.
+MODEL, CACHED, SIMULATED = 'model', 'cached', 'simulated'
+
+
+class Calibration(NamedTuple):
+    """A threshold on the statistic, and where it comes from: MODEL, CACHED or SIMULATED."""
+
+    threshold: float
+    source: str
+
+
 def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,
                   progress: Progress | None = None) -> float:
+    """Return the threshold alone; see :func:`calibrate`."""
+    return calibrate(study, shape, rate, progress).threshold
+
+
+def calibrate(study: NoiseStudy, shape: tuple[int, int], rate: float,
+              progress: Progress | None = None, simulate: bool = False) -> Calibration:
     """Return the threshold on the statistic for a false alarm rate.
+
+    By noise that was searched before for these options, which is the most exact; else by the
+    model where there is one; else noise is searched.
 
     Parameters
     ----------
@@ -60,14 +85,35 @@ def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,
         Probability that a batch of pure noise holds a trajectory above the threshold.
     progress : callable, optional
         Called with a label and the share done, 0 to 1.
+    simulate : bool
+        Search noise although there is a model.
     """
     crop = _crop(study, shape)
+    kept, source = _known_maxima(study, crop), CACHED
+    if kept is None and study.false_paths is not None and not simulate:
+        return Calibration(level_passed(study.false_paths, rate), MODEL)
+    if kept is None:
+        kept, source = _new_maxima(study, crop, progress), SIMULATED
     # The square of a statistic has the tail nearest to an exponential.
-    maxima = np.sort(_noise_maxima(study, crop, progress)**2)
+    maxima = np.sort(kept**2)
     mean_count = -np.log1p(-rate) * study.area(crop) / study.area(shape)
-    if study.decay is None:
-        return float(np.sqrt(_exponential_value(maxima, mean_count)))
-    return float(np.sqrt(_chi_squared_value(maxima, mean_count, study.decay)))
+    value = (_exponential_value(maxima, mean_count) if study.decay is None
+             else _chi_squared_value(maxima, mean_count, study.decay))
+    return Calibration(math.sqrt(value), source)
+
+
+def level_passed(false_paths: FalsePaths, rate: float) -> float:
+    """Return the level that trajectories of noise pass in this share of the batches."""
+    mean_count = -math.log1p(-rate)
+
+    def too_many(level: float) -> float:
+        return false_paths(level) - mean_count
+
+    # The number falls with the level from where it is of use; further down theory fails.
+    high = HIGHEST_LEVEL
+    while too_many(high - LEVEL_STEP) < 0:
+        high -= LEVEL_STEP
+    return float(brentq(too_many, high - LEVEL_STEP, high))
 
 
 def _chi_squared_value(ordered: NDArray, mean_count: float, decay: float) -> float:
@@ -123,19 +169,22 @@ def _tail(ordered: NDArray, share: float) -> tuple[float, float]:
     return float(np.quantile(ordered, 1 - share)), -math.log1p(-share)
 
 
-def _noise_maxima(study: NoiseStudy, crop: tuple[int, int],
-                  progress: Progress | None) -> NDArray:
-    """Return the largest statistic of each crop of noise, from the cache where it is known."""
-    path = _cache_folder() / f'noise-{_key(study, crop)}.npy'
-    n_crops = _crop_count(study, crop)
+def _known_maxima(study: NoiseStudy, crop: tuple[int, int]) -> NDArray | None:
+    """Return the largest statistic of each crop of noise, None where the cache has none."""
+    path = _cache_path(study, crop)
     try:
-        return _kept_maxima(path, n_crops)
+        return _kept_maxima(path, _crop_count(study, crop))
     except FileNotFoundError:
         pass
     except (OSError, ValueError, TypeError, OverflowError, EOFError) as error:
         _LOG.warning('the threshold calibration in %s cannot be used and is made anew: %s',
                      path, error)
-    maxima = _simulate(study, crop, progress)
+    return None
+
+
+def _new_maxima(study: NoiseStudy, crop: tuple[int, int], progress: Progress | None) -> NDArray:
+    """Search crops of noise and keep the largest statistic of each in the cache."""
+    path, maxima = _cache_path(study, crop), _simulate(study, crop, progress)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_path(path) as aside:
@@ -200,6 +249,10 @@ def _crop_count(study: NoiseStudy, crop: tuple[int, int]) -> int:
 def _key(study: NoiseStudy, crop: tuple[int, int]) -> str:
     text = repr((REVISION, _crop_count(study, crop), SEED, crop, study.key))
     return hashlib.sha256(text.encode()).hexdigest()[:24]
+
+
+def _cache_path(study: NoiseStudy, crop: tuple[int, int]) -> Path:
+    return _cache_folder() / f'noise-{_key(study, crop)}.npy'
 
 
 def _cache_folder() -> Path:

@@ -34,7 +34,7 @@ from track_before_detect.solvers.clutter.strongest_paths import (
 )
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
-from track_before_detect.types import Progress, Step
+from track_before_detect.types import FrameBatch, Progress, Step
 
 BELOW = 'below the threshold'
 # Reasons that say nothing against a candidate that carries on a trajectory of the batch beside.
@@ -76,6 +76,7 @@ class ClutterDetector(PathDetector):
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
                   progress: Progress | None = None) -> float:
         """Return 1: what statistics are compared with comes from each batch itself."""
+        self.threshold_source = 'batch'
         return 1.0
 
     def solve(self, task: Task) -> BatchResult:
@@ -126,8 +127,9 @@ class ClutterDetector(PathDetector):
         """Return False: whatever the frames hold, few paths stand out from the others."""
         return False
 
-    def _threshold(self, *_: object) -> float:
-        return 1.0
+    def _threshold(self, batch: FrameBatch, measurement: MeasurementModel,
+                   shape: tuple[int, int], progress: Progress | None) -> float:
+        return self.threshold(batch.stamps, shape, progress)
 
     def _tail(self, paths: list[SignedPath], shape: tuple[int, ...]) -> PathTail:
         reach = SEPARATION * self.measurement.width_px

@@ -7,8 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.models.measurement.base import MeasurementModel
+from track_before_detect.models.measurement.psf import GaussianPsf
+from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult
+from track_before_detect.solvers.calibration.false_paths import modelled_false_paths
+from track_before_detect.solvers.calibration.noise_study import FalsePaths
 from track_before_detect.solvers.convex.ghosts import GhostSearch
 from track_before_detect.solvers.convex.pursuit import pursue, PursuitSettings, state_of
 from track_before_detect.solvers.convex.warm_start import starting_paths
@@ -16,6 +20,7 @@ from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import refiner_for
 from track_before_detect.solvers.refine.target_model import TargetModel
 from track_before_detect.solvers.search.path_search import FoundPath, PathSearch
+from track_before_detect.solvers.search.periodic_columns import PeriodicColumns
 from track_before_detect.types import Step
 
 # Distance of paths that one search adds, in widths of the PSF.
@@ -98,6 +103,14 @@ class ConvexDetector(PathDetector):
             return best
 
         return largest
+
+    def false_paths(self, graph: StateGraph, measurement: MeasurementModel,
+                    columns: PeriodicColumns, shape: tuple[int, int]) -> FalsePaths | None:
+        """Return how many paths of noise pass a level, None where only a search can tell."""
+        if (self.presence is not None or graph.coupling is not None or columns.margin > 0
+                or not isinstance(measurement, GaussianPsf) or measurement.integrated):
+            return None
+        return modelled_false_paths(graph, measurement, self.model, shape)
 
     @property
     def _separation(self) -> float:

@@ -40,22 +40,24 @@ def run_false_alarms(runs: int, seed: int, runner: Runner) -> SuiteResult:
         f'Batches of {N_FRAMES} frames of white noise, convex detector with default options: the '
         'share with a trajectory, beside the false_alarm_rate that the threshold was made for. '
         'Intervals: Wilson.',
-        rows, quantities, {}, functools.partial(_draw, rows=rows))
+        rows, quantities, {}, functools.partial(draw_rates, rows=[
+            {**row, 'label': f'{row["side_px"]} x {row["side_px"]} px'} for row in rows]))
 
 
-def _draw(figure: Any, rows: Sequence[Mapping[str, Any]]) -> None:
+def draw_rates(figure: Any, rows: Sequence[Mapping[str, Any]], factor: float = 1.5) -> None:
+    """Draw how many batches came beside how many were asked for, by the labels of rows."""
     axes = figure.subplots()
-    for number, side in enumerate(sorted({row['side_px'] for row in rows})):
-        group = [row for row in rows if row['side_px'] == side]
+    for number, label in enumerate(dict.fromkeys(row['label'] for row in rows)):
+        group = [row for row in rows if row['label'] == label]
         requested = np.array([row['requested'] for row in group]) * 1.06**(number - 1)
         realised = np.array([row['alarms'] / row['batches'] for row in group])
         ends = np.array([wilson_interval(row['alarms'], row['batches']) for row in group])
         axes.errorbar(requested, realised, np.abs(ends.T - realised), fmt='o', capsize=3,
-                      label=f'{side} x {side} px')
+                      label=label)
     line = np.array([0.003, 0.7])
     axes.plot(line, line, color=GREY, linewidth=1)
-    axes.fill_between(line, line / 1.5, line * 1.5, color=GREY, alpha=0.2,
-                      label='within a factor of 1.5')
+    axes.fill_between(line, line / factor, line * factor, color=GREY, alpha=0.2,
+                      label=f'within a factor of {factor:g}')
     axes.set(xscale='log', yscale='log', xlabel='false alarm rate requested',
              ylabel='share of batches with a trajectory')
     tidy([axes], grid=False)
