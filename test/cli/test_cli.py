@@ -63,6 +63,7 @@ def test_detect_finds_the_target_of_a_simulated_recording(tmp_path, capsys):
     summary = json.loads((output / 'summary.json').read_text())
     assert summary['n_trajectories'] == 1
     assert float(rows[0]['statistic']) > summary['threshold']
+    assert summary['threshold_source'] in ('model', 'cached')
     assert 'trajectories.csv' in capsys.readouterr().out
 
 

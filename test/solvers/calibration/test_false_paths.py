@@ -81,12 +81,14 @@ def test_noise_that_was_searched_before_goes_before_the_model():
     assert calibrate(study, SHAPE, 0.05) == (searched.threshold, CACHED)
 
 
-def test_detector_says_where_its_threshold_comes_from():
+def test_detector_says_where_its_threshold_comes_from(caplog):
+    caplog.set_level('INFO', 'track_before_detect')
     stamps = np.arange(12.0)
     detector = make_detector(DetectorOptions())
     assert detector.threshold_source == ''
     detector.threshold(stamps, SHAPE)
     assert detector.threshold_source == MODEL
+    assert 'for a false alarm rate of 0.05 is known by the model of noise' in caplog.text
     both = make_detector(DetectorOptions(amplitude_model='either'))
     both.threshold(stamps, SHAPE)
     assert both.threshold_source == MODEL
