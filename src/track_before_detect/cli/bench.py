@@ -7,7 +7,11 @@ from typing import Any
 from track_before_detect.cli.console import check_output_file, FOUND, Progress
 from track_before_detect.recordings.result_files import write_summary_json
 
-_EXAMPLES = """\
+HELP = 'measure time and memory on this machine'
+DESCRIPTION = (
+    'Measure time and memory of a detector on simulated frames, stage by stage; '
+    'print a\ntable and write it as JSON with a description of the machine.')
+EXAMPLES = """\
 examples:
   tbd bench convex --output bench.json
   tbd bench dp --output dp.json
@@ -17,13 +21,8 @@ examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'bench', help='measure time and memory on this machine', epilog=_EXAMPLES,
-        description='Measure time and memory of a detector on simulated frames, stage by stage; '
-        'print a\ntable and write it as JSON with a description of the machine.')
-    parser.set_defaults(run=run)
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     parser.add_argument('bench', metavar='BENCH', nargs='?', default='convex',
                         help='what is measured: convex (default); dp, dynamic programming beside '
                         'plain NumPy; fit, amplitudes of thousands of given paths; parallel, '

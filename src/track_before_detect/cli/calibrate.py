@@ -14,7 +14,13 @@ from track_before_detect.cli.console import (
 )
 from track_before_detect.options import DetectorOptions, parse_option
 
-_EXAMPLES = """\
+HELP = 'search noise for a threshold'
+DESCRIPTION = (
+    'Search simulated noise for the threshold of a false alarm rate, and print it '
+    'beside that of\nthe model of noise, where there is one for the options. What is found is '
+    "kept in the\nuser's cache: later searches with these options go by it instead of the "
+    'model.')
+EXAMPLES = """\
 examples:
   batches of 20 frames of 256 x 320 pixels at 25 frames a second:
     tbd calibrate 20 256 320 --fps 25
@@ -22,15 +28,8 @@ examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'calibrate', help='search noise for a threshold', epilog=_EXAMPLES,
-        description='Search simulated noise for the threshold of a false alarm rate, and print it '
-        'beside that of\nthe model of noise, where there is one for the options. What is found is '
-        "kept in the\nuser's cache: later searches with these options go by it instead of the "
-        'model.')
-    parser.set_defaults(run=run)
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     for name, words in (('frames', 'frames of a batch'), ('height', 'of the frames, px'),
                         ('width', 'of the frames, px')):
         parser.add_argument(name, metavar=name.upper(), type=int, help=words)

@@ -22,13 +22,15 @@ preset: auto
 _FIRST = ('psf_sigma_px', 'max_speed_px_s', 'batch_length', 'false_alarm_rate')
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'config', help='print a file of options to start from',
-        description='Print a YAML file with every option, its meaning, unit, range and default, '
-        'for --config:\n  tbd config > options.yaml')
-    parser.set_defaults(run=run)
+HELP = 'print a file of options to start from'
+DESCRIPTION = (
+    'Print a YAML file with every option, its meaning, unit, range and default, '
+    'for --config:\n  tbd config > options.yaml')
+EXAMPLES = ''
+
+
+def add_arguments(parser: Any) -> None:
+    """Add nothing: it has no arguments."""
 
 
 def run(arguments: Namespace) -> int:

@@ -50,7 +50,16 @@ from track_before_detect.types import DetectionResult, STATUSES, Trajectory
 # Rejected candidates that are printed, and those below the threshold that are told of.
 MOST_LISTED, MOST_BELOW = 20, 20
 
-_EXAMPLES = """\
+HELP = 'find trajectories in recordings'
+DESCRIPTION = (
+    'Find trajectories in a recording, print them and write to DIR (of several\n'
+    'inputs to DIR/NAME, with one line for each):\n'
+    '  trajectories.csv  one row per trajectory and frame\n'
+    '  summary.json      options, threshold, counts\n'
+    '  overlay.png       the trajectories over the middle frame, and over time\n'
+    '  rejected.csv      with --explain: the candidates that are none, each with its reason\n'
+    'and what --formats and --video ask for.')
+EXAMPLES = """\
 examples:
   a recording of a camera or a radar, as it is:
     tbd detect flight.mp4
@@ -71,18 +80,8 @@ All options, with units and ranges: tbd detect --list-options
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'detect', help='find trajectories in recordings', epilog=_EXAMPLES,
-        description='Find trajectories in a recording, print them and write to DIR (of several\n'
-        'inputs to DIR/NAME, with one line for each):\n'
-        '  trajectories.csv  one row per trajectory and frame\n'
-        '  summary.json      options, threshold, counts\n'
-        '  overlay.png       the trajectories over the middle frame, and over time\n'
-        '  rejected.csv      with --explain: the candidates that are none, each with its reason\n'
-        'and what --formats and --video ask for.')
-    parser.set_defaults(run=run)
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     add_input_arguments(parser)
     add_output_argument(parser)
     parser.add_argument('--explain', action='store_true',

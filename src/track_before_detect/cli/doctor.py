@@ -30,13 +30,15 @@ _MIDDLEWARE = 'import rclpy; print(rclpy.get_rmw_implementation_identifier())'
 _PATIENCE_S = 30.0
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'doctor', help='say what is installed and in use, for reports of bugs',
-        description='Say which versions, extras, cores, caches and which ROS are in use, and '
-        'what is broken.\nExit code 0 unless something that is needed is broken, then 1.')
-    parser.set_defaults(run=run)
+HELP = 'say what is installed and in use, for reports of bugs'
+DESCRIPTION = (
+    'Say which versions, extras, cores, caches and which ROS are in use, and '
+    'what is broken.\nExit code 0 unless something that is needed is broken, then 1.')
+EXAMPLES = ''
+
+
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     parser.add_argument('--json', action='store_true', help='print it as JSON')
 
 

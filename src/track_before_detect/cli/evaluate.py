@@ -14,7 +14,17 @@ from track_before_detect.cli.console import (
     Progress,
 )
 
-_EXAMPLES = """\
+HELP = 'repeat a study over many recordings'
+DESCRIPTION = (
+    'Repeat a study over many recordings, simulated ones but for the suite real, '
+    'print its table and write to DIR:\n'
+    '  report.md     the table with 95 % intervals, and the command that made it\n'
+    '  SUITE.csv     one row per run\n'
+    '  SUITE.png     the picture of the report\n'
+    '  summary.json  the table with settings and machine\n'
+    '  runs.jsonl    single results: the same command continues from them after an\n'
+    '                interruption, and one with more runs adds to them; may be deleted')
+EXAMPLES = """\
 examples:
   tbd evaluate --list
   tbd evaluate detection --runs 200 --seed 1 --output evaluation
@@ -25,19 +35,8 @@ examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'evaluate', help='repeat a study over many recordings', epilog=_EXAMPLES,
-        description='Repeat a study over many recordings, simulated ones but for the suite real, '
-        'print its table and write to DIR:\n'
-        '  report.md     the table with 95 % intervals, and the command that made it\n'
-        '  SUITE.csv     one row per run\n'
-        '  SUITE.png     the picture of the report\n'
-        '  summary.json  the table with settings and machine\n'
-        '  runs.jsonl    single results: the same command continues from them after an\n'
-        '                interruption, and one with more runs adds to them; may be deleted')
-    parser.set_defaults(run=run)
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     parser.add_argument('suite', metavar='SUITE', help='name of the study; see --list')
     parser.add_argument('--runs', metavar='N', type=int,
                         help='how often it is repeated (default: 100; of real: 1)')

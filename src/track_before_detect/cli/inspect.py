@@ -28,16 +28,17 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.recordings.open_recording import expand_inputs, open_recording
 from track_before_detect.types import Trajectory
 
+HELP = 'show what the detector sees of a recording'
+DESCRIPTION = (
+    'Search a recording and show each step of it, with words for what looks '
+    'wrong. Writes to DIR:\n'
+    '  inspect.html  one page with everything in it, opens offline\n'
+    '  inspect.png   its pictures')
+EXAMPLES = ''
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'inspect', help='show what the detector sees of a recording',
-        description='Search a recording and show each step of it, with words for what looks '
-        'wrong. Writes to DIR:\n'
-        '  inspect.html  one page with everything in it, opens offline\n'
-        '  inspect.png   its pictures')
-    parser.set_defaults(run=run)
+
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     add_input_arguments(parser)
     add_output_argument(parser)
 

@@ -53,6 +53,11 @@ exit codes:
   130  interrupted with Ctrl-C
   143  ended by the signal TERM
 """
+# Each has HELP, DESCRIPTION and EXAMPLES, and functions add_arguments and run.
+_COMMANDS = {
+    'detect': detect, 'plan': plan, 'view': view, 'inspect': inspect, 'simulate': simulate,
+    'evaluate': evaluate, 'calibrate': calibrate, 'bench': bench, 'warm-up': warm_up,
+    'config': config, 'doctor': doctor}
 _LOG = logging.getLogger(__name__)
 _OURS = logging.getLogger(__name__.partition('.')[0])
 
@@ -126,15 +131,15 @@ def _run(arguments: Sequence[str] | None) -> int:
     parser.add_argument('--version', action='version', version=f'tbd {__version__}')
     parser.set_defaults(run=None)
     commands = parser.add_subparsers(title='commands', metavar='COMMAND')
-    for command in (
-            detect, plan, view, inspect, simulate, evaluate, calibrate, bench, warm_up, config,
-            doctor):
-        command.add_parser(commands)
+    for name, command in _COMMANDS.items():
+        command_parser = commands.add_parser(
+            name, help=command.HELP, description=command.DESCRIPTION, epilog=command.EXAMPLES)
+        command_parser.set_defaults(run=command.run)
+        command.add_arguments(command_parser)
+        add_loudness(command_parser)
     parser.add_argument('--print-completion', metavar='SHELL', action=PrintCompletion,
                         choices=SHELLS, help='print what lets a shell complete commands and '
                         f'options: {", ".join(SHELLS)}')
-    for command_parser in commands.choices.values():
-        add_loudness(command_parser)
     options = parser.parse_args(arguments)
     if options.run is None:
         parser.print_help()

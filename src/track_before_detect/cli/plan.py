@@ -46,15 +46,17 @@ class Plan:
     memory_bytes: float
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'plan', help='say what a search is going to cost',
-        description='Search a few batches in the middle of each recording, or of the middle of '
-        'large frames, and\nsay how long tbd detect is going to take with these options, and how '
-        'much memory. Loops that\nhave to be compiled and a threshold that has to be calibrated '
-        'are made now, and kept for it.\nFilms and pictures are not counted.')
-    parser.set_defaults(run=run)
+HELP = 'say what a search is going to cost'
+DESCRIPTION = (
+    'Search a few batches in the middle of each recording, or of the middle of '
+    'large frames, and\nsay how long tbd detect is going to take with these options, and how '
+    'much memory. Loops that\nhave to be compiled and a threshold that has to be calibrated '
+    'are made now, and kept for it.\nFilms and pictures are not counted.')
+EXAMPLES = ''
+
+
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     add_input_arguments(parser)
 
 

@@ -18,7 +18,11 @@ from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.simulation import scenarios
 from track_before_detect.simulation.scenarios import Scenario, SCENARIOS
 
-_EXAMPLES = """\
+HELP = 'make a recording with known targets'
+DESCRIPTION = (
+    'Make a recording with known targets and write it as .npz with frames, '
+    'stamps and\ntruth rows [frame, id, x, y].')
+EXAMPLES = """\
 examples:
   tbd simulate --list
   tbd simulate three_targets --seed 7 --output three.npz
@@ -26,13 +30,8 @@ examples:
 """
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'simulate', help='make a recording with known targets', epilog=_EXAMPLES,
-        description='Make a recording with known targets and write it as .npz with frames, '
-        'stamps and\ntruth rows [frame, id, x, y].')
-    parser.set_defaults(run=run)
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     parser.add_argument('scenario', metavar='SCENARIO', help=f'one of: {", ".join(SCENARIOS)}')
     parser.add_argument('--seed', metavar='S', type=int, default=0,
                         help='the same seed gives the same recording (default: 0)')

@@ -19,7 +19,12 @@ from track_before_detect.cli.detect import add_input_arguments, search, told_opt
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.open_recording import expand_inputs, open_recording
 
-_EXAMPLES = """\
+HELP = 'look at a search in a window or a browser'
+DESCRIPTION = (
+    'Search a recording and show it along its time on rerun, while it is '
+    'searched: frames with\ntrajectories, ids and truth, what is searched, the matched '
+    'filter, and the strongest path\nof each batch beside the threshold.')
+EXAMPLES = """\
 examples:
   in a window:
     tbd view flight.mp4
@@ -34,14 +39,8 @@ examples:
 _PATIENCE_S = 30.0
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'view', help='look at a search in a window or a browser', epilog=_EXAMPLES,
-        description='Search a recording and show it along its time on rerun, while it is '
-        'searched: frames with\ntrajectories, ids and truth, what is searched, the matched '
-        'filter, and the strongest path\nof each batch beside the threshold.')
-    parser.set_defaults(run=run)
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     add_input_arguments(parser)
     either = parser.add_mutually_exclusive_group()
     either.add_argument('--save', metavar='FILE.rrd', help='write a file in place of a window')

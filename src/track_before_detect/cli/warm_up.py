@@ -9,7 +9,12 @@ from track_before_detect.errors import named
 from track_before_detect.options import DetectorOptions, DETECTORS
 from track_before_detect.parallel import map_in_threads
 
-_EXAMPLES = """\
+HELP = 'compile the loops ahead'
+DESCRIPTION = (
+    'Compile the loops of a search now, which otherwise the first search does. '
+    "They are kept\nfor all installations of this version, in the user's cache or in "
+    'NUMBA_CACHE_DIR, until the\nsources, numba or numpy change.')
+EXAMPLES = """\
 examples:
   what tbd detect and the node need without options:
     tbd warm-up
@@ -23,14 +28,8 @@ _EVERYTHING: tuple[dict[str, Any], ...] = (
     {'amplitude_model': 'constant'}, *({'detector': name} for name in DETECTORS[1:]))
 
 
-def add_parser(commands: Any) -> None:
-    """Add the command to the subparsers of ``tbd``."""
-    parser = commands.add_parser(
-        'warm-up', help='compile the loops ahead', epilog=_EXAMPLES,
-        description='Compile the loops of a search now, which otherwise the first search does. '
-        "They are kept\nfor all installations of this version, in the user's cache or in "
-        'NUMBA_CACHE_DIR, until the\nsources, numba or numpy change.')
-    parser.set_defaults(run=run)
+def add_arguments(parser: Any) -> None:
+    """Add the arguments of the command."""
     parser.add_argument('what', metavar='WHAT', nargs='?', default='default',
                         help='default (default), everything, or the name of a detector')
 
