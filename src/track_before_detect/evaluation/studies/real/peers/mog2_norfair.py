@@ -15,7 +15,7 @@ def find_tracks(frames: FrameSequence) -> list[NDArray]:
     from norfair import Detection, Tracker
 
     background = cv2.createBackgroundSubtractorMOG2(detectShadows=False)
-    tracker = Tracker('euclidean', DISTANCE_PX)
+    tracker = Tracker('mean_euclidean', DISTANCE_PX)
     tracks: dict[int, NDArray] = {}
     for index in range(len(frames)):
         # MOG2 takes 8 bits or float; its variances are in the units of 8 bits.

@@ -9,6 +9,8 @@ from track_before_detect.tracking.recording import FrameSequence
 
 # Size of a feature, odd; how far it moves in a frame; frames it may be missing; shortest track.
 DIAMETER_PX, SEARCH_RANGE_PX, MEMORY_FRAMES, LEAST_FRAMES = 5, 5, 3, 5
+# Where too many features are near each other to be linked, the range becomes less, down to this.
+LEAST_RANGE_PX = 1
 # The walkthrough has the user read the least mass off a histogram; here it is this many deviations
 # above the masses of what noise and scene make of the first frame.
 MASS_DEVIATIONS = 10.0
@@ -42,7 +44,8 @@ def linked(features: Any, n_frames: int) -> list[NDArray]:
     if not len(features):
         return []
     table = trackpy.filter_stubs(
-        trackpy.link(features, SEARCH_RANGE_PX, memory=MEMORY_FRAMES), LEAST_FRAMES)
+        trackpy.link(features, SEARCH_RANGE_PX, memory=MEMORY_FRAMES,
+                     adaptive_stop=LEAST_RANGE_PX), LEAST_FRAMES)
     tracks = []
     for _, rows in table.groupby('particle'):
         positions = np.full((n_frames, 2), np.nan)
