@@ -25,7 +25,8 @@ class Source:
     def read(self, index):
         self.read_frames.append(index)
         if self.counts:
-            pictures = sum(isinstance(held, Image.Image) for held in gc.get_objects())
+            # By type: to ask a proxy of something gone for its class is an error.
+            pictures = sum(issubclass(type(held), Image.Image) for held in gc.get_objects())
             self.most_held = max(self.most_held, pictures)
         return np.random.default_rng(index).normal(100, 5, SHAPE).astype(self.dtype)
 

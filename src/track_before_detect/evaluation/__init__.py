@@ -10,7 +10,8 @@ distribution of its own. These are the doors of the rest that it goes through:
 - recordings with truth: ``recordings.images``, ``recordings.open_recording``,
   ``recordings.overlay``, ``recordings.read_errors``, ``recordings.recording``,
   ``recordings.video``, ``tracking.recording``;
-- scenes: ``simulation.motions``, ``simulation.scenarios``, ``simulation.sensor``;
+- scenes: ``simulation.backdrop``, ``simulation.motions``, ``simulation.scenarios``,
+  ``simulation.sensor``;
 - detectors: ``tracking.pipeline``, ``tracking.presets``, ``solvers.batch_detector``,
   ``solvers.calibration.false_paths``, ``solvers.calibration.noise_study``,
   ``solvers.calibration.threshold``;

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 # Deviations of details by their scale in pixels, of 1 together: most is in what is large.
 LAYERS = {2.0: 0.06, 8.0: 0.19, 40.0: 0.98}
@@ -27,6 +26,9 @@ def backdrop(rng: np.random.Generator, shape: tuple[int, int, int], layers: Mapp
     shake_px : float
         Largest step beside that in x and in y.
     """
+    # Whoever asks tbd what is missing may lack it.
+    from scipy import ndimage
+
     n_frames, height, width = shape
     offsets = np.cumsum(
         np.asarray(step_px) + rng.uniform(-shake_px, shake_px, (n_frames, 2)), axis=0)
