@@ -39,4 +39,4 @@ def backdrop(rng: np.random.Generator, shape: tuple[int, int, int], layers: Mapp
         layer = ndimage.gaussian_filter(rng.standard_normal(texture.shape, np.float32), scale)
         texture += deviation / layer.std() * layer
     for x, y in offsets.tolist():
-        yield ndimage.affine_transform(texture, np.ones(2), (y, x), (height, width), order=1)
+        yield ndimage.affine_transform(texture, np.eye(2), (y, x), (height, width), order=1)
