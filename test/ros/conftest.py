@@ -16,6 +16,8 @@ import pytest
 import track_before_detect
 
 TIMEOUT_S = 60.0
+# Seconds after which a node that may not have discovered who asks is asked again.
+ASK_AGAIN_S = 0.3
 
 # A shell that starts the tests in the background has them ignore interrupts, and processes started
 # from here would inherit that; what a handler is set for is back to normal in a new process.
@@ -26,6 +28,7 @@ try:
         # The message packages import these when a message is first sent; what they do is theirs.
         warnings.simplefilter('ignore')
         import lark  # noqa: F401
+        from rcl_interfaces.srv import GetParameterTypes
         import rclpy
 except ImportError:
     rclpy = None
@@ -172,14 +175,34 @@ class Station:
 
     def call(self, kind, service, request):
         """Call a service; return the response."""
-        client = self.clients.get(service)
-        if client is None:
-            client = self.clients[service] = self.node.create_client(kind, service)
-            self.wait_until(client.service_is_ready, f'service {service}')
+        self._meet(service.rpartition('/')[0])
+        is_new = service not in self.clients
+        client = self._client(kind, service)
+        if is_new:
             # The answer is lost where the server has not yet discovered who asks.
             self.spin_for(0.5)
         future = client.call_async(request)
         return self.wait_until(lambda: future.done() and future.result(), f'answer of {service}')
+
+    def _client(self, kind, service):
+        client = self.clients.get(service)
+        if client is None:
+            client = self.clients[service] = self.node.create_client(kind, service)
+            self.wait_until(client.service_is_ready, f'service {service}')
+        return client
+
+    def _meet(self, node):
+        """Ask a node until it answers: what it says before it has discovered this one is lost."""
+        client = self._client(GetParameterTypes, f'{node}/get_parameter_types')
+        asked = []
+
+        def is_answered():
+            if not asked or time.monotonic() - asked[-1][0] > ASK_AGAIN_S:
+                asked.append((time.monotonic(),
+                              client.call_async(GetParameterTypes.Request())))
+            return any(future.done() for _, future in asked)
+
+        self.wait_until(is_answered, f'any answer of {node}')
 
     def close(self):
         self._executor.shutdown()
