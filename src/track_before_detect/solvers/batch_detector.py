@@ -14,14 +14,20 @@ from track_before_detect.capabilities import check_options
 from track_before_detect.checks import check_kind
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
-from track_before_detect.solvers.calibration.threshold import calibrate, Calibration
+from track_before_detect.solvers.calibration.threshold import (
+    CACHED,
+    calibrate,
+    Calibration,
+    MODEL,
+    SIMULATED,
+)
 from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress, Step
 
 _LOG = logging.getLogger(__name__)
 # What is said of a threshold, by its source.
-_SOURCES = {'model': 'by the model of noise; tbd calibrate searches noise',
-            'cached': 'by noise that was searched before', 'simulated': 'by a search of noise'}
+_SOURCES = {MODEL: 'by the model of noise; tbd calibrate searches noise',
+            CACHED: 'by noise that was searched before', SIMULATED: 'by a search of noise'}
 # Relative difference of frame intervals that share a calibration.
 SAME_INTERVAL = 0.2
 # Largest speed in clutter unless told, px a frame.

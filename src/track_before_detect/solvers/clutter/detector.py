@@ -34,7 +34,7 @@ from track_before_detect.solvers.clutter.strongest_paths import (
 )
 from track_before_detect.solvers.path_detector import PathDetector, Task
 from track_before_detect.solvers.refine.refinement import PathRefiner, refiner_for
-from track_before_detect.types import FrameBatch, Progress, Step
+from track_before_detect.types import Progress, Step
 
 BELOW = 'below the threshold'
 # Reasons that say nothing against a candidate that carries on a trajectory of the batch beside.
@@ -126,10 +126,6 @@ class ClutterDetector(PathDetector):
     def passes_everywhere(self, task: Task) -> bool:
         """Return False: whatever the frames hold, few paths stand out from the others."""
         return False
-
-    def _threshold(self, batch: FrameBatch, measurement: MeasurementModel,
-                   shape: tuple[int, int], progress: Progress | None) -> float:
-        return self.threshold(batch.stamps, shape, progress)
 
     def _tail(self, paths: list[SignedPath], shape: tuple[int, ...]) -> PathTail:
         reach = SEPARATION * self.measurement.width_px
