@@ -88,6 +88,8 @@ class NodeProcess:
         self.process.wait()
         self._reader.join(TIMEOUT_S)
         self.process.stdout.close()
+        # Shown beside a test that failed.
+        print(self.output)
 
 
 @pytest.fixture(scope='session')
@@ -140,7 +142,9 @@ class Station:
             if value:
                 return value
             self._executor.spin_once(timeout_sec=0.05)
-        raise AssertionError(f'waited {timeout_s} s in vain for: {what}')
+        received = {topic: len(messages) for topic, messages in self.received.items()}
+        raise AssertionError(f'waited {timeout_s} s in vain for: {what}; received: {received}; '
+                             f'newest diagnostics: {self.diagnostics()}')
 
     def spin_for(self, seconds):
         end_s = time.monotonic() + seconds
@@ -155,7 +159,7 @@ class Station:
 
     def diagnostics(self, name='detector'):
         """Return the newest diagnostics of a node as a dictionary, empty before any."""
-        for message in reversed(self.received['/diagnostics']):
+        for message in reversed(self.received.get('/diagnostics', [])):
             for status in message.status:
                 if status.name == name:
                     values = {value.key: value.value for value in status.values}
@@ -168,10 +172,7 @@ class Station:
             found = self.diagnostics(name)
             return found if found and all(
                 found[key] == str(value) for key, value in expected.items()) else None
-        try:
-            return self.wait_until(holds, f'diagnostics with {expected}')
-        except AssertionError as error:
-            raise AssertionError(f'{error}; newest: {self.diagnostics(name)}') from None
+        return self.wait_until(holds, f'diagnostics of {name} with {expected}')
 
     def call(self, kind, service, request):
         """Call a service; return the response."""

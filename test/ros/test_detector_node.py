@@ -160,10 +160,12 @@ def test_a_shaking_scene_is_recognised_untold_and_its_target_is_the_only_track(l
     station.listen(DiagnosticArray, '/diagnostics')
     detector = launch('detector', '-p', 'reliable:=true', '-p', 'queue_length:=100')
     publisher = station.publisher(Image, 'image', RELIABLE)
+    # Its loops may have to be compiled first, by which a machine is too busy to take each frame.
+    detector.wait_for_line('waiting for frames', 4 * TIMEOUT_S)
     frames, positions = shaking_scene(30)
     send(station, publisher, frames)
-    # Its loops may have to be compiled first.
-    station.wait_until(lambda: len(clouds) == 3, 'three clouds', 4 * TIMEOUT_S)
+    station.wait_for_diagnostics(frames_received=30)
+    station.wait_until(lambda: len(clouds) == 3, 'three clouds')
     found = station.wait_for_diagnostics(state='ready', batches=3, preset='auto')
     assert 'registration=auto' in found['options']
     assert 'batch_length=16, hop=8' in found['options']
