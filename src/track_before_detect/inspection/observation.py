@@ -33,10 +33,8 @@ class BatchFacts:
         Largest statistic of any path over its threshold.
     level : float
         Median level of the noise, in units of the input.
-    spread : float
-        Robust deviation of what is searched, which should be one.
-    middle : float
-        Median of what is searched, which should be zero.
+    spread, middle : float
+        Robust deviation of what is searched, which should be one, and median, which should be 0.
     in_space, in_time : array
         Autocorrelation of what is searched over pixels and over frames.
     no_data : float

@@ -21,10 +21,8 @@ class Watch:
 
     Attributes
     ----------
-    is_limited : bool
-        Whether the time will be up.
-    stopped : bool
-        Whether somebody was told that the time is up.
+    is_limited, stopped : bool
+        Whether the time will be up, and whether somebody was told that it is.
     """
 
     def __init__(self, limit_s: float | None = None, progress: Progress | None = None):

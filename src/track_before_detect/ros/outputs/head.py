@@ -37,12 +37,10 @@ class HeadTarget:
     Attributes
     ----------
     id : int
-        Of its trajectory.
     state : State
     stamp_s : float
-        Seconds.
     position, velocity : array, shape (2,)
-        Pixels, pixels per second.
+        Seconds, pixels, pixels per second.
     covariance : array, shape (2, 2)
         Of the position, px^2; NaN where it is not known.
     amplitude, snr, statistic : float

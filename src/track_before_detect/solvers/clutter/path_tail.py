@@ -20,10 +20,8 @@ class PathTail:
 
     Attributes
     ----------
-    start : float
-        Square at which the tail begins.
-    scale : float
-        Mean excess over the start of the paths beyond.
+    start, scale : float
+        Square at which the tail begins, and mean excess over it of the paths beyond.
     count : int
         Number of paths beyond.
     """

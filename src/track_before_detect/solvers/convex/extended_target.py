@@ -44,9 +44,7 @@ class ExtendedTarget:
     cost : float
         Of the turns of its path and of being present.
     width_px : float
-        Standard deviation of the one Gaussian that explains most.
-    n_shares : int
-        Gaussians of the shape.
+        Standard deviation of the one Gaussian that explains most; the shape has ``n_shares``.
     source : Source
         Its stamps and amplitudes.
     energy : float
