@@ -36,8 +36,8 @@ class HeadTarget:
 
     Attributes
     ----------
-    id : int
-    state : State
+    id, state
+        Of its trajectory, and what is known of it.
     stamp_s : float
     position, velocity : array, shape (2,)
         Seconds, pixels, pixels per second.
