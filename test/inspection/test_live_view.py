@@ -29,7 +29,10 @@ def rows_of(path):
     chunk = pytest.importorskip('rerun.chunk', reason='this rerun cannot read what it writes')
     rows = defaultdict(dict)
     for one in chunk.RrdReader(path).stream().to_chunks():
-        for row in one.to_record_batch().to_pylist():
+        batch = one.to_record_batch()
+        # The time of logging is in nanoseconds, which Python's own times cannot hold.
+        for row in batch.drop_columns(
+                [name for name in batch.schema.names if name == 'log_time']).to_pylist():
             if row.get('frame') is not None:
                 rows[one.entity_path].setdefault(row['frame'], {}).update(
                     {name.rpartition(':')[2]: value for name, value in row.items()})
@@ -61,6 +64,35 @@ def test_frames_trajectories_truth_and_statistic_are_shown_over_time(
     assert value['scalars'] == [8]
     [value] = rows['/statistic/none/strongest_path'].values()
     assert value['scalars'][0] > 8
+
+
+def test_a_result_is_shown_as_it_was_found_without_another_search(
+        recording_file, tmp_path, capsys):
+    pytest.importorskip('rerun', reason='the extra [view] is missing')
+    output, saved = tmp_path / 'output', tmp_path / 'a.rrd'
+    assert main(['detect', str(recording_file), '--preset', 'none', '--set', 'threshold=8',
+                 '--no-overlay', '--output', str(output)]) == 0
+    table = output / 'trajectories.csv'
+    table.write_text(table.read_text().replace('\n1,', '\n7,'))
+    capsys.readouterr()
+    assert main(['view', str(output), '--save', str(saved)]) == 0
+    assert capsys.readouterr().out.startswith('a.npz: 1 trajectories')
+    rows = rows_of(saved)
+    assert sorted(rows['/frame']) == list(range(N_FRAMES))
+    for frame in range(N_FRAMES):
+        shown = rows['/frame/trajectories'][frame]
+        np.testing.assert_allclose(shown['centers'], [[10.5 + 0.5 * frame, 12.5]], atol=0.5)
+        assert shown['labels'][0].startswith('7  ')
+
+
+def test_a_result_whose_recording_is_gone_names_it(recording_file, tmp_path, capsys):
+    pytest.importorskip('rerun', reason='the extra [view] is missing')
+    output = tmp_path / 'output'
+    main(['detect', str(recording_file), '--preset', 'none', '--set', 'threshold=8',
+          '--no-overlay', '--output', str(output)])
+    recording_file.unlink()
+    assert main(['view', str(output), '--save', str(tmp_path / 'a.rrd')]) == 2
+    assert str(recording_file) in capsys.readouterr().err
 
 
 def test_without_rerun_the_extra_is_named(recording_file):

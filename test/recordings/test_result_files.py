@@ -12,9 +12,11 @@ import numpy as np
 import pytest
 
 from track_before_detect.atomic_files import atomic_path
+from track_before_detect.errors import DataError
 from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.recordings.result_files import (
     CSV_COLUMNS,
+    read_trajectories_csv,
     write_summary_json,
     write_trajectories_csv,
 )
@@ -51,6 +53,9 @@ def test_csv_has_one_row_per_presence_and_no_nan(presences, first_frame):
         write_trajectories_csv(path, trajectories)
         text = path.read_text()
         rows = read_csv(path)
+        again = Path(folder) / 'again.csv'
+        write_trajectories_csv(again, read_trajectories_csv(path))
+        assert again.read_text() == text
     assert text.splitlines()[0] == ','.join(CSV_COLUMNS)
     assert 'nan' not in text
     expected = [(t, k) for t in trajectories for k in np.flatnonzero(np.isfinite(t.amplitudes))]
@@ -64,6 +69,19 @@ def test_csv_has_one_row_per_presence_and_no_nan(presences, first_frame):
         assert float(row['vy_px_s']) == pytest.approx(t.velocity[k, 1], abs=5.1e-5)
         assert float(row['amplitude']) == pytest.approx(abs(t.amplitudes[k]), rel=1e-5)
         assert (float(row['snr']), float(row['statistic'])) == (2.5, 11.25)
+
+
+@pytest.mark.parametrize(('text', 'fragment'), [
+    (None, 'cannot be read'), ('', 'the header names no amplitude'), ('a,b\n1,2\n', 'names no'),
+    (','.join(CSV_COLUMNS) + '\n1,one' + ',0' * 11 + '\n', "'one'"),
+    (','.join(CSV_COLUMNS) + '\n1,1\n', 'must hold the trajectories')])
+def test_a_table_of_something_else_is_refused_with_its_name(tmp_path, text, fragment):
+    path = tmp_path / 'trajectories.csv'
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(DataError, match=fragment) as caught:
+        read_trajectories_csv(path)
+    assert str(path) in str(caught.value)
 
 
 def test_csv_columns_are_those_of_the_contract():

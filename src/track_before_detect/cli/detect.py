@@ -45,6 +45,7 @@ from track_before_detect.recordings.recording import Recording
 from track_before_detect.results.folder import summary_of, Wanted, write_folder
 from track_before_detect.results.found import Found
 from track_before_detect.results.json_lines import json_lines
+from track_before_detect.results.saved import Opened
 from track_before_detect.types import DetectionResult, STATUSES, Trajectory
 
 # Rejected candidates that are printed, and those below the threshold that are told of.
@@ -170,7 +171,8 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
     with open_recording(path, arguments.topic, arguments.fps) as recording:
         result, options = search(recording, arguments, told)
         found = Found(recording, options, result)
-        summary = summary_of(found, time.perf_counter() - started, __version__)
+        summary = summary_of(found, time.perf_counter() - started, __version__,
+                             Opened(path, arguments.topic, arguments.fps))
         rejected = numbered(result) if arguments.explain else None
         with Progress.asked_for(arguments) as progress:
             written = write_folder(output, found, summary, wanted, rejected, progress)

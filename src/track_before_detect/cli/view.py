@@ -18,18 +18,22 @@ from track_before_detect.cli.console import check_output_file, FOUND, NOTHING_FO
 from track_before_detect.cli.detect import add_input_arguments, search, told_options
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.open_recording import expand_inputs, open_recording
+from track_before_detect.results.saved import is_result, Opened, read_result
 
 HELP = 'look at a search in a window or a browser'
 DESCRIPTION = (
     'Search a recording and show it along its time on rerun, while it is '
     'searched: frames with\ntrajectories, ids and truth, what is searched, the matched '
-    'filter, and the strongest path\nof each batch beside the threshold.')
+    'filter, and the strongest path\nof each batch beside the threshold. Of a folder of results, '
+    'show the recording with the\ntrajectories that were found.')
 EXAMPLES = """\
 examples:
   in a window:
     tbd view flight.mp4
   in a browser, until Ctrl-C:
     tbd view flight.mp4 --web
+  what tbd detect has found, without another search:
+    tbd view output
   to look at later, with rerun flight.rrd:
     tbd view flight.mp4 --save flight.rrd
 """
@@ -61,9 +65,10 @@ def run(arguments: Namespace) -> int:
     from track_before_detect.inspection.live_view import LiveView
 
     stream = rerun.RecordingStream('track_before_detect')
+    found = read_result(paths[0]) if is_result(paths[0]) else None
+    source = Opened(paths[0], arguments.topic, arguments.fps) if found is None else found[0]
     with ExitStack() as opened:
-        recording = opened.enter_context(open_recording(
-            paths[0], arguments.topic, arguments.fps))
+        recording = opened.enter_context(open_recording(source.path, source.topic, source.fps))
         if arguments.save is not None:
             stream.save(opened.enter_context(atomic_path(arguments.save)))
         elif arguments.web:
@@ -71,17 +76,21 @@ def run(arguments: Namespace) -> int:
         else:
             stream.spawn()
         view = LiveView(recording, stream)
-        result, _ = search(recording, arguments, told, observe=view)
-        view.show_result(result)
+        if found is None:
+            trajectories = search(recording, arguments, told, observe=view)[0].trajectories
+        else:
+            view.show_frames()
+            trajectories = found[1]
+        view.show_trajectories(trajectories)
         stream.flush()
         if arguments.save is not None:
             stream.disconnect()
-        print(f'{recording.name}: {len(result.trajectories)} trajectories', flush=True)
+        print(f'{recording.name}: {len(trajectories)} trajectories', flush=True)
         while arguments.web:
             time.sleep(1)
     if arguments.save is not None:
         print(f'written: {arguments.save}')
-    return FOUND if result.trajectories else NOTHING_FOUND
+    return FOUND if trajectories else NOTHING_FOUND
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """A search on rerun, which fills in while it runs: frames, what is searched, what is found."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from track_before_detect.recordings.overlay import (
 )
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.tracking.pipeline import Searched
-from track_before_detect.types import DetectionResult
+from track_before_detect.types import Trajectory
 
 # Black and white of what is searched, in deviations of the noise.
 _SHOWN_DEVIATIONS = (-3.0, 8.0)
@@ -72,11 +73,18 @@ class LiveView:
             if np.isfinite(value):
                 self._stream.log(f'statistic/{background}/{name}', _rerun().Scalars(value))
 
-    def show_result(self, result: DetectionResult) -> None:
+    def show_frames(self) -> None:
+        """Show every frame by itself, where there is no search."""
+        self._stream.send_blueprint(_blueprint([]))
+        for number in range(len(self._recording)):
+            self._set_frame(number)
+            self._show_frame(number)
+
+    def show_trajectories(self, trajectories: Sequence[Trajectory]) -> None:
         """Show where each trajectory is in each frame, and where it came from."""
         rerun = _rerun()
         for number in range(len(self._recording)):
-            trails = [(one, *trail(one, number, _TRAIL)) for one in result.trajectories]
+            trails = [(one, *trail(one, number, _TRAIL)) for one in trajectories]
             here = [(one, points[-1] + 0.5) for one, points, is_here in trails if is_here]
             # Pixel centres are whole numbers here, and half a pixel further there.
             lines = [(one, points + 0.5) for one, points, _ in trails if len(points) > 1]
@@ -124,7 +132,8 @@ def _blueprint(backgrounds: list[str]) -> Any:
 
     names = ['frame', *(f'{what}/{background}' for background in backgrounds
                         for what in ('residual', 'matched_filter'))]
+    pictures = blueprint.Grid(*(
+        blueprint.Spatial2DView(origin=name, name=name) for name in names))
     return blueprint.Blueprint(blueprint.Vertical(
-        blueprint.Grid(*(blueprint.Spatial2DView(origin=name, name=name) for name in names)),
-        blueprint.TimeSeriesView(origin='statistic', name='statistic'), row_shares=[3, 1]),
-        collapse_panels=True)
+        pictures, blueprint.TimeSeriesView(origin='statistic', name='statistic'),
+        row_shares=[3, 1]) if backgrounds else pictures, collapse_panels=True)

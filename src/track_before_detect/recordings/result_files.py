@@ -1,4 +1,4 @@
-"""What a search leaves: trajectories as CSV, its summary as JSON, each whole or not at all."""
+"""What a search leaves: trajectories as CSV and its summary as JSON, written and read again."""
 
 from collections.abc import Iterable, Iterator, Mapping
 import csv
@@ -8,8 +8,10 @@ import os
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect.atomic_files import atomic_path
+from track_before_detect.errors import DataError
 from track_before_detect.types import Trajectory
 
 # How each number of a row is written as text.
@@ -58,6 +60,52 @@ def write_trajectories_csv(path: str | os.PathLike, trajectories: Iterable[Traje
                 *(f'{value:{form}}' if math.isfinite(value) else ''
                   for value, form in zip(row_of(trajectory, k), _COLUMNS.values(), strict=True)),
                 *[trajectory.reason] * with_reason])
+
+
+def read_trajectories_csv(path: str | os.PathLike) -> list[Trajectory]:
+    """Read trajectories that :func:`write_trajectories_csv` has written.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    list of Trajectory
+        With a row for each frame in which they are present; amplitudes are real.
+
+    Raises
+    ------
+    DataError
+        When there is no such file, or it holds something else.
+    """
+    rows: dict[int, list[dict[str, str]]] = {}
+    try:
+        with open(path, newline='', encoding='utf-8') as file:
+            reader = csv.DictReader(file)
+            if missing := set(CSV_COLUMNS) - set(reader.fieldnames or ()):
+                raise ValueError(f'the header names no {", ".join(sorted(missing))}')
+            for row in reader:
+                rows.setdefault(int(row['trajectory_id']), []).append(row)
+        return [_trajectory_of(number, of_one) for number, of_one in rows.items()]
+    except OSError as error:
+        raise DataError(f'{path} cannot be read: {error.strerror}') from error
+    except (ValueError, TypeError, csv.Error) as error:
+        raise DataError(f'{path} must hold the trajectories of a search: {error}') from error
+
+
+def _trajectory_of(number: int, rows: list[dict[str, str]]) -> Trajectory:
+    """Return a trajectory from its rows; what is empty is NaN."""
+    def column(name: str) -> NDArray[np.float64]:
+        return np.array([float(row[name] or 'nan') for row in rows])
+
+    var_x, cov_xy, var_y = map(column, ('var_x_px2', 'cov_xy_px2', 'var_y_px2'))
+    return Trajectory(
+        number, np.column_stack([column('x_px'), column('y_px')]), column('amplitude'),
+        np.column_stack([column('vx_px_s'), column('vy_px_s')]), column('stamp_s'),
+        column('frame').astype(np.int64), float(rows[0]['statistic']), float(rows[0]['snr']),
+        rows[0].get('reason') or '',
+        np.stack([var_x, cov_xy, cov_xy, var_y], axis=-1).reshape(-1, 2, 2))
 
 
 def write_summary_json(path: str | os.PathLike, mapping: Mapping[str, Any]) -> None:

@@ -13,6 +13,7 @@ from track_before_detect.recordings.result_files import write_summary_json, writ
 from track_before_detect.results.film import write_film
 from track_before_detect.results.formats import Format
 from track_before_detect.results.found import Found
+from track_before_detect.results.saved import Opened
 from track_before_detect.timestamps import increasing_frames
 from track_before_detect.types import Progress, Trajectory
 
@@ -57,12 +58,14 @@ def write_folder(output: Path, found: Found, summary: dict[str, Any], wanted: Wa
     return [output / name for name in names]
 
 
-def summary_of(found: Found, seconds: float, version: str) -> dict[str, Any]:
+def summary_of(found: Found, seconds: float, version: str,
+               opened: Opened) -> dict[str, Any]:
     """Return what summary.json says of a search that took so many seconds."""
     recording, options, result = found.recording, found.options, found.result
     interval = np.diff(recording.stamps[increasing_frames(recording.stamps)])
     return {
         'input': recording.name,
+        **opened.as_mapping(),
         'n_frames': len(recording),
         'n_batches': result.n_batches,
         'height_px': recording.shape[0],
