@@ -13,6 +13,7 @@ from track_before_detect.errors import TbdError
 from track_before_detect.kernels.fit.least_squares import find_blocks
 from track_before_detect.options import DetectorOptions
 from track_before_detect.tracking.compilation import told_of_compiling
+from track_before_detect.tracking.presets import PRESETS
 from track_before_detect.types import Count
 
 # Prints the loops that Python calls in a search and that nobody has listed, and the other way.
@@ -39,7 +40,8 @@ print(json.dumps([sorted(called - set(entries_of(options))),
 
 
 @pytest.mark.parametrize('options', [
-    {}, {'detector': 'cfo_dpr'}, {'detector': 'velocity_filter'}], ids=str)
+    {}, {'detector': 'cfo_dpr'}, {'detector': 'velocity_filter'}, PRESETS['eoir_moving']],
+    ids=['default', 'cfo_dpr', 'velocity_filter', 'eoir_moving'])
 def test_all_loops_of_a_search_are_known(options):
     for _ in range(2):
         child = subprocess.run([sys.executable, '-c', PROGRAM, json.dumps(options)], text=True,

@@ -1,6 +1,7 @@
 """``tbd warm-up``: compile the loops ahead, for all later commands and nodes."""
 
 from argparse import Namespace
+from collections.abc import Mapping
 import time
 from typing import Any
 
@@ -21,9 +22,9 @@ examples:
   every detector, amplitude, presence and sensor:
     tbd warm-up everything
 """
-# Searches that together need every loop that the command and the node may.
-_EVERYTHING: tuple[dict[str, Any], ...] = (
-    {}, {'presence': 'partial'}, {'exposure_s': 0.5}, {'amplitudes': 'complex'},
+# Searches that together need what options may ask for beside the default.
+_MORE: tuple[Mapping[str, Any], ...] = (
+    {'presence': 'partial'}, {'exposure_s': 0.5}, {'amplitudes': 'complex'},
     {'amplitudes': 'complex', 'amplitude_model': 'constant'},
     {'amplitude_model': 'constant'}, *({'detector': name} for name in DETECTORS[1:]))
 
@@ -37,19 +38,28 @@ def add_arguments(parser: Any) -> None:
 def run(arguments: Namespace) -> int:
     """Compile and say what took how long; return the exit code."""
     searches = named('set of loops', arguments.what, {
-        'default': ({},), 'everything': _EVERYTHING,
+        'default': (), 'everything': _MORE,
         **{name: ({'detector': name},) for name in DETECTORS}})
     # Compiled loops take a second to load; errors need not wait for them.
+    from track_before_detect.tracking.compilation import LABEL, told_of_compiling
     from track_before_detect.tracking.pipeline import TrackingPipeline
+    from track_before_detect.tracking.presets import PRESETS
 
+    if arguments.what in ('default', 'everything'):
+        # What frames of noise and of a scene ask for; one that moves needs more than one at rest.
+        searches = ({}, PRESETS['eoir_moving'], *searches)
+    options = [DetectorOptions(**search) for search in searches]
     started = time.perf_counter()
     with Progress.asked_for(arguments, every=True) as progress:
 
-        def compile_all(searches: tuple[dict[str, Any], ...]) -> None:
-            for search in searches:
-                TrackingPipeline(DetectorOptions(**search)).compile(progress)
+        def compile_all(options: list[DetectorOptions]) -> None:
+            progress(LABEL, 0.0)
+            with told_of_compiling(progress, *options):
+                for one in options:
+                    TrackingPipeline(one).compile()
+            progress(LABEL, 1.0)
 
         # In a thread of its own, which an interrupt does not wait for.
-        map_in_threads(compile_all, [searches], progress.show_time)
+        map_in_threads(compile_all, [options], progress.show_time)
     print(f'ready in {time.perf_counter() - started:.1f} s')
     return FOUND

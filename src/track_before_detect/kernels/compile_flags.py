@@ -8,6 +8,7 @@ from typing import Any
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect.kernels import compiled_cache
 
@@ -20,6 +21,15 @@ Offset: Any = int if numba.config.DISABLE_JIT else np.uint64
 # A plain number is a type of its own to what is called with it, and would have that compiled once
 # more.
 ZERO: Any = np.int64(0)
+
+
+
+def read_only(array: NDArray) -> NDArray:
+    """Return a view that cannot be written to: a loop is compiled for such or for others."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
+
 
 # As the standard of floating point has it, with Python's errors.
 EXACT: dict[str, Any] = {'nogil': True, 'cache': True, 'no_cfunc_wrapper': True}

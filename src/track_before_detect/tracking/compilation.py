@@ -19,17 +19,19 @@ _PACKAGE = __name__.split('.')[0]
 # One that is missing here is counted only once it is compiled.
 _OF_PIXELS = ('psf.psf_profiles:fill_profiles', 'scores.matched_filter:filter_frame')
 _OF_PATHS = (
-    *_OF_PIXELS, 'fit.group_lasso:solve', 'fit.least_squares:find_blocks',
-    'fit.least_squares:solve', 'psf.gauss_newton:best_amplitudes',
-    'psf.gauss_newton:maximise_statistic', 'psf.measurement:curvatures',
-    'psf.measurement:evaluate',
-    'psf.measurement:render_path', 'psf.psf_stamps:accumulate', 'psf.psf_stamps:correlate',
-    'psf.psf_stamps:overlap', 'scores.matched_filter:scores_of_frame',
+    *_OF_PIXELS, 'psf.gauss_newton:best_amplitudes', 'psf.gauss_newton:maximise_statistic',
+    'psf.measurement:curvatures', 'psf.measurement:evaluate', 'psf.measurement:render_path',
+    'psf.psf_stamps:correlate', 'scores.matched_filter:scores_of_frame',
     'search.viterbi:extend_paths', *(f'search.viterbi_backtrack:{name}' for name in (
         'best_end', 'follow_back', 'leave_out', 'next_peak')),
     *(f'search.viterbi_update:{name}' for name in (
         'changed_states', 'count_blocks', 'largest_by_row', 'raise_stale', 'replace_scores',
-        'store_scores', 'wanted_ends')))
+        'spread_turns', 'store_scores', 'wanted_before', 'wanted_ends')))
+# Amplitudes of several paths at once, which a threshold from the clutter does not ask for.
+_OF_FIT = ('fit.group_lasso:solve', 'fit.least_squares:find_blocks', 'fit.least_squares:solve',
+           'psf.psf_stamps:accumulate', 'psf.psf_stamps:overlap')
+_OF_MAPS = ('pictures.mapped_motion:mapped_motion', 'warp:sample_with_slope', 'warp:warp')
+_OF_SCENES = ('pictures.scene_noise:noise_at', 'pictures.scene_noise:terms_at')
 _OF_CANCELLATION = (*_OF_PIXELS, 'transition_dp:find_targets', 'transition_dp:score_pixels')
 _OF_DETECTORS = {
     'mt_dp': _OF_CANCELLATION, 'pc_dp': _OF_CANCELLATION,
@@ -42,7 +44,7 @@ _OF_DETECTORS = {
 class _Watch(event.Listener):
     """Counts loops while numba compiles them."""
 
-    def __init__(self, entries: tuple[str, ...], progress: Progress):
+    def __init__(self, entries: set[str], progress: Progress):
         self._progress = progress
         self._entries = {entry: _with_called(entry) for entry in map(_loop, entries)}
         self._wanted = set().union(*self._entries.values())
@@ -76,7 +78,7 @@ class _Left(BaseException):
 
 
 @contextmanager
-def told_of_compiling(progress: Progress | None, options: DetectorOptions) -> Iterator[None]:
+def told_of_compiling(progress: Progress | None, *options: DetectorOptions) -> Iterator[None]:
     """Tell progress of the loops that are compiled meanwhile, and of how many there are.
 
     Parameters
@@ -84,13 +86,13 @@ def told_of_compiling(progress: Progress | None, options: DetectorOptions) -> It
     progress : callable, optional
         Called with the label ``compiling`` and a :class:`Count`, from when the first loop is
         compiled on.
-    options : DetectorOptions
-        Of the search that the loops are for.
+    *options : DetectorOptions
+        Of the searches that the loops are for.
     """
     if progress is None:
         yield
         return
-    watch = _Watch(entries_of(options), progress)
+    watch = _Watch(set().union(*map(entries_of, options)), progress)
     try:
         with event.install_listener('numba:compile', watch):
             yield
@@ -116,14 +118,37 @@ def _with_called(loop: Dispatcher) -> frozenset[Dispatcher]:
 
 def entries_of(options: DetectorOptions) -> tuple[str, ...]:
     """Return the loops that Python calls in a search, as ``module:function`` of the kernels."""
+    return _of_search(options) + _of_pictures(options)
+
+
+def _of_search(options: DetectorOptions) -> tuple[str, ...]:
     if options.detector in METHODS:
         method = METHODS[options.detector]
         order = 'first' if method.order == 'cfo' else 'second'
         closing = ('ring.passes:average',) if method.ring else ()
         return (*_OF_PIXELS, f'ring.{order}_order:accumulate', *closing)
     entries = _OF_DETECTORS.get(options.detector, _OF_PATHS)
+    if entries is _OF_PATHS and options.calibration != 'clutter':
+        entries += _OF_FIT
     if options.exposure_s > 0:
         entries += ('scores.streak_scores:scores_of_streak',)
     if options.amplitudes == 'complex' and options.amplitude_model != 'fluctuating':
         entries += ('fit.constant_modulus:clip_moduli', 'fit.constant_modulus:descend')
     return entries
+
+
+def _of_pictures(options: DetectorOptions) -> tuple[str, ...]:
+    """Return the loops that Python calls in preprocessing."""
+    still = options.background in ('temporal_median', 'temporal_spatial_median', 'either')
+    registration, noise = options.registration, options.noise
+    wanted = {
+        'pictures.boxes:box_mean': registration != 'none' or options.bad_frames == 'find',
+        'warp:shift': registration == 'auto' or (registration == 'translation' and still),
+        **dict.fromkeys(_OF_MAPS, registration not in ('none', 'translation')),
+        'pictures.median_over_time:median_over_time': (
+            options.background != 'none' or noise == 'map' or options.bad_pixels == 'find'),
+        'pictures.matched_statistic:matched_statistic': (
+            noise != 'none' and options.amplitudes != 'complex'),
+        'pictures.boxes:ring_level': noise == 'local',
+        **dict.fromkeys(_OF_SCENES, noise == 'local' and still)}
+    return tuple(loop for loop, is_wanted in wanted.items() if is_wanted)

@@ -172,11 +172,12 @@ class TrackingPipeline:
             mask=None, doppler_ambiguities=0, exposure_s=min(self._options.exposure_s, 1.0))
         # Where columns go round a wide PSF needs as many.
         width = max(24, 2 * psf_of(options).half_width + 1)
-        frames = np.random.default_rng(0).standard_normal((8, 24, width)).astype(np.float32)
+        frames = np.random.default_rng(0).standard_normal((16, 24, width)).astype(
+            np.float32)
         frames[:, 10:13, 10:13] += 8
         if options.amplitudes == 'complex':
             frames = frames.astype(np.complex64)
-        batch = FrameBatch.of(frames, np.arange(8.0))
+        batch = FrameBatch.of(frames, np.arange(16.0))
         # Either compiles what constant does, and what fluctuating does.
         kinds = {'either': ('fluctuating', 'constant')}.get(
             options.amplitude_model, (options.amplitude_model,))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.linalg import eigh
 from scipy.optimize import minimize_scalar
 
+from track_before_detect.kernels.compile_flags import read_only
 from track_before_detect.kernels.psf import psf_stamps as stamp_kernels
 from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.solvers.fit.working_set import PsfStamps, Source, StampRenderer
@@ -114,7 +115,7 @@ class ExtendedTargetFitter:
 
     def _seen(self, frames: NDArray, pictures: NDArray, origins: NDArray) -> NDArray:
         seen = np.empty(len(frames), complex if self._model.is_complex else float)
-        stamp_kernels.correlate(pictures, origins, frames, seen)
+        stamp_kernels.correlate(pictures, origins, read_only(frames), seen)
         return seen
 
     def _parts(self, frames: NDArray, positions: NDArray, widths: list[float],

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.kernels.compile_flags import read_only
 from track_before_detect.kernels.fit.least_squares import find_blocks
 from track_before_detect.kernels.psf import psf_stamps as stamp_kernels
 from track_before_detect.kernels.psf.measurement import render_path, whole_norm
@@ -195,9 +196,7 @@ class WorkingSet:
     @cached_property
     def residual(self) -> NDArray:
         """Frames less the fit, to be read only."""
-        view = self._residual.view()
-        view.flags.writeable = False
-        return view
+        return read_only(self._residual)
 
     def add(self, positions: NDArray, cost: float) -> int:
         """Append a path with amplitude zero; return its number."""
@@ -493,7 +492,7 @@ class WorkingSet:
         """Return what stamps see in each frame, of the residual unless told, shape (T,)."""
         seen = np.empty(len(self.frames), self.matched.dtype)
         stamp_kernels.correlate(stamps.pictures, stamps.origins,
-                                self._residual if frames is None else frames, seen)
+                                self.residual if frames is None else read_only(frames), seen)
         return seen
 
     def _of_target(self, amplitudes: NDArray, stamps: PsfStamps) -> NDArray:
@@ -530,7 +529,8 @@ class WorkingSet:
     def _relate(self, path: int) -> None:
         """Fill the matched filter and the overlaps of one path."""
         own = self._stamps[path]
-        stamp_kernels.correlate(own.pictures, own.origins, self.frames, self.matched[path])
+        stamp_kernels.correlate(own.pictures, own.origins, read_only(self.frames),
+                                self.matched[path])
         self._release(np.unique(self._pairs[path]))
         self._pairs[path] = 0
         self._pairs[:, path] = 0

@@ -13,6 +13,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.kernels.compile_flags import read_only
 from track_before_detect.kernels.fit.constant_modulus import clip_moduli
 from track_before_detect.kernels.psf.gauss_newton import best_amplitudes, maximise_statistic
 from track_before_detect.kernels.psf.measurement import curvatures, evaluate, smear_curvatures
@@ -82,7 +83,7 @@ class Refiner:
     def refine(self, frames: NDArray, positions: NDArray, cost: float, threshold: float,
                t_convex: float) -> tuple[NDArray, float] | None:
         """Return better positions and their cost, see :meth:`PathRefiner.refine`."""
-        frames = _read_only(frames)
+        frames = read_only(frames)
         limits = self._targets.measurement.limits(frames.shape[1:])
         squared = float(self.gains(frames, positions).sum())
         price = cost * self.cost_scale(frames, positions)
@@ -161,7 +162,7 @@ class Refiner:
     def _evaluate(self, frames: NDArray, positions: NDArray) -> tuple[NDArray, NDArray]:
         seen = np.empty((len(positions), 3))
         norms = np.empty(len(positions))
-        evaluate(self._compiled, positions, _read_only(frames), self._weights, self._model.code,
+        evaluate(self._compiled, positions, read_only(frames), self._weights, self._model.code,
                  seen, norms)
         return seen, norms
 
@@ -308,10 +309,3 @@ def _ends(positions: NDArray) -> tuple[int, int]:
     """Return the first and the last frame in which a path is present."""
     [present] = np.nonzero(np.isfinite(positions[:, 0]))
     return int(present[0]), int(present[-1])
-
-
-def _read_only(frames: NDArray) -> NDArray:
-    """Return a view that cannot be written to: compiled loops are compiled for these alone."""
-    view = frames.view()
-    view.flags.writeable = False
-    return view

@@ -283,7 +283,8 @@ class ViterbiTable:
         score_marks = np.empty((n_frames, layout.n_y), np.uint64)
         rise = np.empty((layout.n_y, n_frames), np.float32)
         self._over_rows(viterbi_update.replace_scores, self._scores, score_marks, rise,
-                        self._largest, scores, np.float32(per_frame), rows, layout)
+                        self._largest, scores, np.float32(per_frame),
+                        np.ascontiguousarray(rows), layout)
         before = np.empty((0, layout.n_v), np.uint64)
         # Of what is not held, only what changes now matters.
         self._stale[:-1][~self._rows.whole] = 0
