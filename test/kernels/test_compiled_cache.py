@@ -1,5 +1,7 @@
 """Compiled loops on disk: found by later processes, and never those of another source."""
 
+from contextlib import ExitStack
+import fcntl
 import os
 from pathlib import Path
 import shutil
@@ -130,6 +132,16 @@ def test_of_two_processes_at_once_one_compiles(kernels):
     values, *compiled = zip(*map(finish, children), strict=True)
     assert values == (7.0, 7.0)
     assert [sum(counts) for counts in compiled] == [1, 1]
+
+
+def test_nobody_waits_for_a_process_that_compiles_other_loops(kernels, tmp_path):
+    assert run(kernels) == (7.0, 1, 1)
+    with ExitStack() as held:
+        for path in (tmp_path / 'cache').rglob('lock'):
+            fcntl.flock(held.enter_context(path.open('ab')), fcntl.LOCK_EX)
+        # One is loaded, the other compiled into another folder.
+        edit(kernels, 'apart.py', 'return -x', 'return -2.0 * x')
+        assert run(kernels) == (7.0, 0, 1)
 
 
 def test_folders_that_nobody_has_used_for_long_are_deleted(kernels, tmp_path):

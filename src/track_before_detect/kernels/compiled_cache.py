@@ -7,8 +7,8 @@ leads to another folder, and installations that are alike share theirs.
 
 The folders lie in NUMBA_CACHE_DIR if that is set, otherwise in the user's cache, otherwise beside
 the sources; where none can be written, loops last as long as the process. Numba replaces files
-whole; one process at a time compiles, so that others find what it has made and none mixes up the
-numbers of files.
+whole, so that any process reads what is there; one at a time compiles the loops of a folder, so
+that others find what it has made and none mixes up the numbers of files.
 """
 
 import atexit
@@ -130,21 +130,54 @@ class _Locator:
         return str(self._line)
 
 
-class _OneProcess(event.Listener):
-    """Lets one process at a time look into the cache, compile, and write."""
+class _Held(event.Listener):
+    """Folders in which this process compiles, each until the loop that asked for it is written.
+
+    What a loop calls is compiled meanwhile, in folders of what its file imports. So nobody waits
+    for a folder of somebody who waits for one of theirs.
+    """
 
     def __init__(self) -> None:
         self._local = threading.local()
 
     def on_start(self, event: event.Event) -> None:
-        self._local.depth = getattr(self._local, 'depth', 0) + 1
-        if self._local.depth == 1:
-            self._local.lock = _locked(cache_folder() / 'lock')
+        self._levels.append({})
 
     def on_end(self, event: event.Event) -> None:
-        self._local.depth -= 1
-        if self._local.depth == 0 and self._local.lock is not None:
-            self._local.lock.close()
+        # Another thread may have been at a loop already when this began to listen.
+        for lock in (self._levels.pop() if self._levels else {}).values():
+            lock.close()
+
+    def hold(self, folder: Path) -> None:
+        """Let no other process compile for this folder until the present loop is done."""
+        if not any(folder in held for held in self._levels):
+            lock = _locked(folder / 'lock')
+            if lock is not None:
+                self._levels[-1][folder] = lock
+
+    @property
+    def _levels(self) -> list[dict[Path, IO[bytes]]]:
+        """Return what is held by each loop that this thread is at, the outermost first."""
+        return self._local.__dict__.setdefault('levels', [])
+
+
+_HELD = _Held()
+
+
+class _CacheFile(caching.IndexDataCacheFile):
+    """The compiled loops of one function: read by all at any time, written by one process.
+
+    Numba replaces files whole, so that what is there is read without waiting for others.
+    """
+
+    def load(self, key: object) -> object:
+        found = super().load(key)
+        folder = Path(self._cache_path)
+        if found is None and folder.parent == cache_folder():
+            _HELD.hold(folder)
+            # Another process may have compiled it meanwhile.
+            found = super().load(key)
+        return found
 
 
 def _locked(path: Path) -> IO[bytes] | None:
@@ -171,4 +204,5 @@ def _locked(path: Path) -> IO[bytes] | None:
 def install() -> None:
     """Let numba keep the loops of this package here."""
     caching.CacheImpl._locator_classes.insert(0, _Locator)
-    event.register('numba:compiler_lock', _OneProcess())
+    caching.IndexDataCacheFile = _CacheFile
+    event.register('numba:compiler_lock', _HELD)
