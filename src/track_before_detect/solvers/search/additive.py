@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 from track_before_detect.kernels.rows import ABSENT
 from track_before_detect.models.measurement.base import Scores
 from track_before_detect.models.presence import Presence
-from track_before_detect.solvers.search.viterbi_table import TracedPath, ViterbiTable
+from track_before_detect.solvers.search.coarse_to_fine import PathTable
+from track_before_detect.solvers.search.path_tracer import TracedPath
 
 NOTHING = np.empty((0, 0, 0), np.float32)
 
@@ -20,13 +21,13 @@ class Additive:
     ----------
     scores : Scores
         What a position adds.
-    tables : sequence of (int, ViterbiTable)
+    tables : sequence of (int, PathTable)
         One for each sign of the amplitudes, by which the scores are multiplied.
     presence : Presence, optional
         What a frame costs.
     """
 
-    def __init__(self, scores: Scores, tables: Sequence[tuple[int, ViterbiTable]],
+    def __init__(self, scores: Scores, tables: Sequence[tuple[int, PathTable]],
                  presence: Presence | None):
         self._scores = scores
         self._tables = tables

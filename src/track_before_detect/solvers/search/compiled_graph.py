@@ -12,10 +12,10 @@ from track_before_detect.models.presence import Presence
 _NOWHERE = np.empty((0, 0), np.int64)
 
 
-def layout_of(graph: StateGraph, grid_shape: tuple[int, int]) -> viterbi.Layout:
-    """Return where the positions of a grid (Y, X) lie."""
+def layout_of(graph: StateGraph, grid_shape: tuple[int, int], spare: int = 0) -> viterbi.Layout:
+    """Return where the positions of a grid (Y, X) lie, ``spare`` more beside them than moves ask."""
     n_y, n_x = grid_shape
-    pad = int(max(np.abs(graph.moves).max(), np.abs(graph.end_moves).max()))
+    pad = int(max(np.abs(graph.moves).max(), np.abs(graph.end_moves).max())) + spare
     stride = VECTOR * -(-(n_x + pad) // VECTOR)
     lanes = VECTOR * -(-n_x // VECTOR)
     return viterbi.Layout(

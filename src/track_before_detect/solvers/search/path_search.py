@@ -24,9 +24,10 @@ from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.search.additive import Additive
 from track_before_detect.solvers.search.affordable import table_share
+from track_before_detect.solvers.search.coarse_to_fine import path_table
 from track_before_detect.solvers.search.ratio import Ratio
 from track_before_detect.solvers.search.sheared_scores import ShearedScores
-from track_before_detect.solvers.search.viterbi_table import RowThreads, ViterbiTable
+from track_before_detect.solvers.search.viterbi_table import RowThreads
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,8 @@ class PathSearch:
         self.grid_shape = scores.grid_shape
         self._scores = scores
         self._presence = presence
-        tables = [(sign, ViterbiTable(graph, scores.grid_shape, n_threads, scores.kinds, presence,
-                                      most_bytes)) for sign in model.signs]
+        tables = [(sign, path_table(graph, scores.grid_shape, n_threads, scores.kinds, presence,
+                                    most_bytes)) for sign in model.signs]
         self._additive = Additive(scores, tables, presence)
         self._ratio = Ratio(scores, tables, presence)
 

@@ -26,7 +26,8 @@ from track_before_detect.kernels.psf.psf_stamps import LEAST_SHARE
 from track_before_detect.kernels.rows import ABSENT
 from track_before_detect.models.measurement.base import Scores
 from track_before_detect.models.presence import Presence
-from track_before_detect.solvers.search.viterbi_table import TracedPath, ViterbiTable
+from track_before_detect.solvers.search.coarse_to_fine import PathTable
+from track_before_detect.solvers.search.path_tracer import TracedPath
 
 # Share of lambda to which the largest statistic is known where norms differ: that of sums in
 # single precision.
@@ -52,7 +53,7 @@ class Ratio:
         Cost of being present; without it a path lasts from the first frame to the last.
     """
 
-    def __init__(self, scores: Scores, tables: Sequence[tuple[int, ViterbiTable]],
+    def __init__(self, scores: Scores, tables: Sequence[tuple[int, PathTable]],
                  presence: Presence | None):
         self._scores = scores
         self._tables = tables
@@ -96,7 +97,7 @@ class Ratio:
             least = per_frame * float(sum(by_frame.min(axis=(0, 2, 3))))
         return max(most, LEAST_SHARE), max(least, LEAST_SHARE)
 
-    def _tilted(self, table: ViterbiTable, frames: NDArray, even: NDArray | None, sign: int,
+    def _tilted(self, table: PathTable, frames: NDArray, even: NDArray | None, sign: int,
                 above: float, radius: int, limit: int, tilt: float,
                 ) -> tuple[float, list[TracedPath]]:
         """Return the largest sum of n h - tilt n^2, and the paths that surely are above a bound.

@@ -135,9 +135,12 @@ class ViterbiTable:
         Every frame of a path costs ``per_frame``.
         """
         self._take_memory()
+        self._store(scores, per_frame)
+        return self._fill()
+
+    def _store(self, scores: NDArray, per_frame: float) -> None:
         self._over_rows(viterbi_update.store_scores, self._scores, self._largest,
                         np.ascontiguousarray(scores), np.float32(per_frame), self._layout)
-        return self._fill()
 
     def _fill(self) -> float:
         self._compute(np.full_like(self._stale, self._everything),
@@ -245,18 +248,23 @@ class ViterbiTable:
     def _take_memory(self) -> None:
         if len(self._scores):
             return
-        layout, n_segments = self._layout, self._graph.n_segments
-        n_frames = self._n_kinds * self._graph.n_frames
-        margin = 2 * layout.pad + layout.lanes
-        self._scores = np.full(n_frames * layout.n_y * layout.stride + margin, ABSENT)
-        self._largest = np.empty((layout.n_y, n_frames), np.float32)
-        self._tables = absent_rows(1, self._rows.size + margin)[0]
-        self._places = self._rows.places()
-        self._segments = [placed(segment, j, self._places)
-                          for j, segment in enumerate(self._segments)]
-        self._stale = np.zeros((n_segments, layout.n_y, layout.n_v), np.uint64)
+        layout = self._layout
+        self._take_memory_of_scores()
+        self._place(self._rows.places(), self._rows.size)
+        self._stale = np.zeros((self._graph.n_segments, layout.n_y, layout.n_v), np.uint64)
         self._stale_ends = np.zeros((self._n_ends, layout.n_y), np.uint64)
+
+    def _take_memory_of_scores(self) -> None:
+        layout, n_frames = self._layout, self._n_kinds * self._graph.n_frames
+        self._scores = np.full(n_frames * layout.n_y * layout.stride + margin_of(layout), ABSENT)
+        self._largest = np.empty((layout.n_y, n_frames), np.float32)
         self.best = np.empty((self._n_ends, *self._grid_shape), np.float32)
+
+    def _place(self, places: NDArray[np.int64], size: int) -> None:
+        """Make a table of so many numbers, its states in their places (J - 1, Y, V)."""
+        self._tables = absent_rows(1, size + margin_of(self._layout))[0]
+        self._places = places
+        self._segments = [placed(segment, j, places) for j, segment in enumerate(self._segments)]
 
     def _end_of(self, j: int) -> int:
         """Return where ``best`` holds the paths that end in segment j, below zero if nowhere."""
@@ -295,12 +303,16 @@ class ViterbiTable:
             before = stale
             if self._end_of(j) >= 0:
                 self._stale_ends[self._end_of(j)] |= np.bitwise_or.reduce(stale, axis=1)
-        # A sum of n numbers is wrong by n roundings of their sizes, in the old and in the new.
+        return float(rise.max(axis=0).sum()) + self._rounding()
+
+    def _rounding(self) -> float:
+        """Return by how much two sums along a path may differ by their order, or old and new."""
+        # A sum of n numbers is wrong by n roundings of their sizes.
         size = float(self._largest.max(axis=0).sum())
         if self._end_costs[0] is not None:
             size += float(self._motion.entry + self._motion.leaving)
-        rounding = 4 * (n_frames + len(self._segments)) * float(np.finfo(np.float32).eps) * size
-        return float(rise.max(axis=0).sum()) + rounding
+        n_numbers = self._largest.shape[1] + len(self._segments)
+        return 4 * n_numbers * float(np.finfo(np.float32).eps) * size
 
     def _wanted(self, level: float) -> tuple[NDArray, NDArray]:
         """Return the states and ends that are needed to know those that may pass a level."""
@@ -320,6 +332,11 @@ class ViterbiTable:
                                 self.best[end], level, self._layout)
                 wanted[j] |= ends[end][:, None]
         return wanted, ends
+
+
+def margin_of(layout: viterbi.Layout) -> int:
+    """Return the numbers that are read beyond the last row of scores or states."""
+    return 2 * layout.pad + layout.lanes
 
 
 def table_bytes(graph: StateGraph, grid_shape: tuple[int, int],

@@ -1,0 +1,300 @@
+"""Weights of the best paths, found among cells of positions first.
+
+A table of cells of two by two positions takes a quarter of the work and of the memory, and bounds
+all paths (module ``kernels.search.cells``). Only the states that may be on a path above the level
+that is asked for are computed among positions: few of many where targets may be fast.
+"""
+
+from dataclasses import replace
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.kernels.rows import ABSENT, absent_rows
+from track_before_detect.kernels.search import cells, viterbi
+from track_before_detect.models.motion.state_graph import StateGraph
+from track_before_detect.models.presence import Presence
+from track_before_detect.solvers.search.compiled_graph import (
+    layout_of,
+    motion_of,
+    placed,
+    segment_of,
+)
+from track_before_detect.solvers.search.held_rows import HeldRows
+from track_before_detect.solvers.search.path_cone import NO_ENDS, NO_STATES
+from track_before_detect.solvers.search.path_tracer import TracedPath
+from track_before_detect.solvers.search.viterbi_table import (
+    COST_OF_UPDATE,
+    margin_of,
+    RowThreads,
+    table_bytes,
+    ViterbiTable,
+)
+
+# States from which on searching cells first is quicker (docs/constants/search.md).
+LEAST_STATES = 2e7
+# Kinds of weights of a cell: after an even or an odd number of steps along y, and along x.
+_KINDS = 4
+# Levels that are tried to find the largest weight of all, and by how much the first is below what
+# is asked for, as a share of what that is above the usual bound (docs/constants/search.md).
+_MOST_LEVELS = 4
+_BELOW = 0.25
+
+
+class CellTable:
+    """Bounds of the weights of all paths, by cells of two by two positions.
+
+    Parameters
+    ----------
+    graph : StateGraph
+        The states.
+    grid_shape : tuple of int
+        (Y, X) of the positions.
+    n_threads : int
+        Threads that share the rows.
+
+    Attributes
+    ----------
+    best : array, shape (Y // 2 + 1, X // 2 + 1)
+        No path that starts its last segment in a cell weighs more.
+    """
+
+    def __init__(self, graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1):
+        coarse, layout, rows = _cells_of(graph, grid_shape)
+        self._layout, self._last = layout, graph.n_segments - 1
+        self._over_rows = RowThreads(layout.n_y, n_threads)
+        motion = motion_of(coarse, np.zeros(graph.n_velocities, np.int64), None)
+        size_of_kind = graph.n_frames * layout.n_y * layout.stride
+        kinds = 2 * (graph.moves[:, :, 1] % 2) + graph.moves[:, :, 0] % 2
+        self._segments = []
+        for j in range(graph.n_segments):
+            segment = segment_of(coarse, j, layout, motion)
+            kind = kinds[graph.knots[j]:graph.knots[j + 1]].T
+            self._segments.append(
+                segment._replace(offsets=segment.offsets + kind.astype(np.int64) * size_of_kind))
+        self._odd = graph.end_moves.astype(np.int64) % 2
+        # What arrives is written row by row of velocities, and read as if nothing had moved.
+        self._arrived = np.tile(layout.guard + layout.stride * np.arange(layout.n_v),
+                                (layout.n_y, 1))
+        self._still = np.zeros((layout.n_v, 2), np.int64)
+        self._pooled = np.full(_KINDS * size_of_kind + margin_of(layout), ABSENT)
+        self._places, size = rows.places(), rows.size
+        if self._last:
+            # In which states paths end is asked as well.
+            self._places = np.append(self._places, size - layout.guard + self._places[:1], axis=0)
+            size += layout.n_y * layout.n_v * layout.stride
+        self._table = absent_rows(1, size + margin_of(layout))[0]
+        # Only what is written of it takes memory.
+        self._rests = np.empty((2 if self._last else 0, layout.n_y * layout.n_v * layout.lanes),
+                               np.float32)
+        self._all = np.full((layout.n_y, layout.n_v), ~np.uint64(0) >> np.uint64(
+            viterbi.BLOCKS - -(-layout.lanes // layout.block)))
+        self.best = np.empty((layout.n_y, layout.n_x), np.float32)
+
+    def fill(self, scores: NDArray, per_frame: float) -> float:
+        """Compute all bounds for scores (T, Y, X) of positions; return the largest."""
+        self._over_rows(cells.pool_scores, self._pooled, np.ascontiguousarray(scores),
+                        np.float32(per_frame), self._layout)
+        for j, segment in enumerate(self._segments):
+            arriving = placed(segment, j, self._places)
+            if j:
+                arriving = arriving._replace(arrival=self._still, places_before=self._arrived)
+            self._over_rows(
+                cells.extend_cells, self._table if self._last else NO_STATES,
+                self.best if j == self._last else NO_ENDS, self._table if j else NO_STATES,
+                self._pooled,
+                arriving, self._layout, segment.arrival, self._odd[max(j - 1, 0)],
+                self._places[j - 1] if j else segment.places, self._all, self._all[:, 0].copy())
+        return float(self.best.max())
+
+    def mark(self, level: float, of_positions: viterbi.Layout,
+             most: float) -> NDArray[np.uint64] | None:
+        """Return the states (J, Y, V) that may be on a path of a weight of ``level`` or more.
+
+        In blocks of positions, laid out as ``of_positions`` says; None where there are more blocks
+        than ``most``.
+        """
+        layout, bound = self._layout, np.float32(level)
+        marks = np.zeros((self._last + 1, of_positions.n_y, of_positions.n_v), np.uint64)
+        n_marked = cells.mark_ends(marks[-1], self.best, bound, of_positions)
+        if n_marked > most:
+            return None
+        if self._last:
+            rest, before = self._rests
+            alive = np.zeros_like(self._all)
+            cells.begin_rest(rest, alive, self.best, self._table, self._places[-1], bound, layout)
+        for j in range(self._last - 1, -1, -1):
+            alive_before = np.zeros_like(alive)
+            segment = self._segments[j + 1]
+            cells.rest_before(before, alive_before, rest, alive, self._table, self._pooled,
+                              segment, layout, segment.arrival, self._odd[j], self._places[j],
+                              bound)
+            rest, before, alive = before, rest, alive_before
+            n_marked += cells.mark_positions(marks[j], rest, alive, layout, of_positions)
+            if n_marked > most:
+                return None
+        return marks
+
+
+class MarkedTable(ViterbiTable):
+    """The best paths through some of the states."""
+
+    @property
+    def layout(self) -> viterbi.Layout:
+        """Return where the positions lie."""
+        return self._layout
+
+    def store(self, scores: NDArray, per_frame: float) -> float:
+        """Keep scores (T, Y, X), less what a frame costs; return how wrong a sum of them may be."""
+        if not len(self._scores):
+            self._take_memory_of_scores()
+        self._store(scores, per_frame)
+        return self._rounding()
+
+    def search(self, marks: NDArray[np.uint64]) -> float:
+        """Compute the marked states (J, Y, V); return the largest weight of paths through them."""
+        places = np.zeros((len(marks) - 1, *marks.shape[1:]), np.int64)
+        size = self._layout.guard
+        for j in range(len(places)):
+            after = self._segments[j + 1]
+            size = cells.place_marked(places[j], marks[j], marks[j + 1], after.arrival,
+                                      after.turns, self._layout, size)
+        self._place(places, size)
+        self.best.fill(ABSENT)
+        self._traced.clear()
+        self._compute(marks, marks[-1, :, :1].T.copy())
+        return float(self.best.max())
+
+
+class CoarseToFine:
+    """The best paths of a graph, searched among cells first: as a :class:`ViterbiTable` has them.
+
+    Parameters
+    ----------
+    graph, grid_shape, n_threads, most_bytes
+        As there.
+    """
+
+    def __init__(self, graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1,
+                 most_bytes: float = math.inf):
+        self._of_table = graph, grid_shape, n_threads
+        self._most_bytes = most_bytes
+        n_bytes = cell_bytes(graph, grid_shape) + table_bytes(graph, grid_shape,
+                                                              most_bytes=most_bytes)
+        self._both_fit = n_bytes <= most_bytes
+        self._marked = MarkedTable(graph, grid_shape, n_threads)
+        layout = self._marked.layout
+        n_blocks = graph.n_segments * layout.n_y * layout.n_v * -(-layout.lanes // layout.block)
+        self._most_marked = n_blocks / COST_OF_UPDATE
+        self._cells: CellTable | None = None
+        self._table: ViterbiTable | None = None
+        # Whether too many states are marked in these frames for cells to be of use.
+        self._gave_up = False
+        self._scores, self._per_frame = np.empty((0, 0, 0), np.float32), 0.0
+        self._rounding, self._level = 0.0, math.inf
+
+    def fill(self, scores: NDArray, per_frame: float = 0.0) -> float:
+        """Return the largest weight for scores of shape (T, Y, X)."""
+        return self.update(scores, math.inf, None, per_frame)
+
+    def update(self, scores: NDArray, level: float, rows: NDArray | None = None,
+               per_frame: float = 0.0) -> float:
+        """Return the largest weight; all paths that weigh more than ``level`` are known then."""
+        self._scores, self._per_frame = scores, per_frame
+        if self._gave_up:
+            return self._whole().update(scores, level, rows, per_frame)
+        if self._cells is None:
+            self._cells = CellTable(*self._of_table)
+        bound = self._cells.fill(scores, per_frame)
+        self._rounding = self._marked.store(scores, per_frame)
+        # Where nothing passes, the largest weight of all is likely to be found a little below.
+        usual = float(np.median(self._cells.best))
+        level = min(level, bound)
+        level -= _BELOW * (level - usual)
+        known = float(ABSENT)
+        for attempt in range(_MOST_LEVELS):
+            largest = self._search(level)
+            if largest is None or largest >= level:
+                break
+            # What happens to be marked holds paths as well.
+            known = max(known, largest)
+            last = attempt == _MOST_LEVELS - 2
+            level = known if last else max(known, 0.5 * (level + usual))
+        if largest is None or largest < level:
+            return self._give_up(level)
+        return largest
+
+    def forget(self) -> None:
+        """Search the next frames from the start."""
+        self._gave_up = False
+        if self._table is not None:
+            self._table.forget()
+        if not self._both_fit:
+            self._table = None
+
+    def best_paths(self, above: float, radius: int, limit: int) -> list[TracedPath]:
+        """Return paths as :meth:`ViterbiTable.best_paths` does."""
+        if not self._gave_up and above < self._level and self._search(above) is None:
+            self._give_up(above)
+        table = self._whole() if self._gave_up else self._marked
+        return table.best_paths(above, radius, limit)
+
+    def _search(self, level: float) -> float | None:
+        """Find all paths of a level or more; return the largest weight of a path that is known.
+
+        None where that would take longer than to compute all states.
+        """
+        assert self._cells is not None
+        marks = self._cells.mark(level - self._rounding, self._marked.layout, self._most_marked)
+        if marks is None:
+            return None
+        self._level = level
+        return self._marked.search(marks)
+
+    def _give_up(self, level: float) -> float:
+        """Compute all states, now and until other frames come."""
+        self._gave_up = True
+        if not self._both_fit:
+            self._cells = None
+        return self._whole().update(self._scores, level, None, self._per_frame)
+
+    def _whole(self) -> ViterbiTable:
+        if self._table is None:
+            self._table = ViterbiTable(*self._of_table, most_bytes=self._most_bytes)
+        return self._table
+
+
+PathTable = ViterbiTable | CoarseToFine
+
+
+def path_table(graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1,
+               kinds: NDArray | None = None, presence: Presence | None = None,
+               most_bytes: float = math.inf) -> PathTable:
+    """Return the table that is quickest; parameters as of :class:`ViterbiTable`."""
+    n_states = graph.n_segments * graph.n_velocities * float(np.prod(grid_shape))
+    if (n_states >= LEAST_STATES and kinds is None and presence is None
+            and cell_bytes(graph, grid_shape) <= most_bytes):
+        return CoarseToFine(graph, grid_shape, n_threads, most_bytes)
+    return ViterbiTable(graph, grid_shape, n_threads, kinds, presence, most_bytes)
+
+
+def cell_bytes(graph: StateGraph, grid_shape: tuple[int, int]) -> int:
+    """Return the memory of a :class:`CellTable`, the states that are alive at most included."""
+    _, layout, rows = _cells_of(graph, grid_shape)
+    # The states of the last segment, and those alive in two at a time.
+    n_more = 3 if graph.n_segments > 1 else 0
+    return rows.n_bytes + NO_STATES.itemsize * layout.n_y * layout.stride * (
+        _KINDS * graph.n_frames + n_more * layout.n_v)
+
+
+def _cells_of(graph: StateGraph,
+              grid_shape: tuple[int, int]) -> tuple[StateGraph, viterbi.Layout, HeldRows]:
+    """Return the paths of cells, where the cells lie, and the rows of their table."""
+    coarse = replace(graph, moves=-(-graph.moves // 2), end_moves=-(-graph.end_moves // 2))
+    layout = layout_of(coarse, (grid_shape[0] // 2 + 1, grid_shape[1] // 2 + 1), spare=1)
+    # Whole blocks of a row are written.
+    lanes = layout.block * -(-layout.lanes // layout.block)
+    layout = layout._replace(lanes=lanes, stride=max(layout.stride, lanes),
+                             guard=layout.guard + layout.block)
+    return coarse, layout, HeldRows(coarse, layout, math.inf)
