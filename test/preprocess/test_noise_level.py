@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 
 from naive import ring_level
-from track_before_detect.preprocess.noise_level import frame_level, local_level, pixel_level
+from track_before_detect import geometry
+from track_before_detect.preprocess.noise_level import (
+    frame_level,
+    lasting_level,
+    local_level,
+    pixel_level,
+)
 
 
 def test_each_frame_has_its_own_level():
@@ -61,3 +67,28 @@ def test_local_level_follows_leftovers_and_leaves_a_target_its_height():
 def test_local_level_of_a_masked_frame_is_unknown_and_of_frames_without_noise_the_floor():
     assert np.all(local_level(np.zeros((20, 20)), 0.3, 1.5) == np.float32(0.3))
     assert np.isnan(local_level(np.full((20, 20), np.nan), 0.3, 1.5)).all()
+
+
+@pytest.mark.parametrize('pan', [0, 2])
+def test_lasting_level_is_that_of_the_sum_over_frames_wherever_the_scene_is(pan):
+    rng = np.random.default_rng(10)
+    scene = 0.5 * rng.normal(size=(60, 120))
+    scene[:, :50] = 0
+    frames = np.array([scene[:, pan * t:pan * t + 90] for t in range(16)])
+    frames += rng.normal(size=frames.shape)
+    frames[3, 5, 60:] = np.nan
+    offsets = -pan * np.arange(16.0)[:, None] * [1, 0]
+    level = np.broadcast_to(lasting_level(
+        frames.astype(np.float32), geometry.translations(offsets), 1.0), frames.shape)
+    for t in (0, 15):
+        begins = 50 - pan * t
+        assert np.median(level[t, :, :begins - 8]) == pytest.approx(1, rel=0.1)
+        assert np.median(level[t, :, begins + 8:]) == pytest.approx(5**0.5, rel=0.1)
+
+
+def test_lasting_level_leaves_a_target_that_stays_its_height():
+    frames = np.random.default_rng(11).normal(size=(16, 40, 40)).astype(np.float32)
+    still = geometry.translations(np.zeros((16, 2)))
+    calm = lasting_level(frames, still, 1.0)
+    frames[:, 20, 20] += 100
+    assert lasting_level(frames, still, 1.0)[0, 20, 20] == pytest.approx(calm[0, 20, 20], rel=0.02)

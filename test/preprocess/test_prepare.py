@@ -15,6 +15,7 @@ from track_before_detect.errors import DataError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.preprocess.per_frame import KeptFrames
 from track_before_detect.preprocess.prepare import noise_of_one, pictures, prepare
+from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.types import FrameBatch
 
 REGISTRATIONS = ('none', 'translation', 'affine', 'homography')
@@ -262,13 +263,26 @@ def test_search_on_the_image_leaves_targets_at_the_pixels_of_their_frames():
 
 def test_search_on_the_image_needs_no_registration_for_a_spatial_background(caplog):
     rng = np.random.default_rng(13)
-    frames = rng.normal(size=(5, 40, 40)) + np.linspace(0, 500, 40)
+    # A slope would leave more than noise at the border.
+    frames = rng.normal(500, 1, (5, 40, 40))
     # Noise has no shift that registration could find, and would say so.
     prepared = prepared_from(frames, search_plane='image', registration='translation',
                              background='spatial_median', noise='local')
     assert not caplog.records
     np.testing.assert_array_equal(prepared.maps, np.tile(np.eye(3), (5, 1, 1)))
     assert np.nanstd(prepared.frames) == pytest.approx(1, abs=0.1)
+
+
+@pytest.mark.parametrize('sigma', [0.0, 1.0, 10.0])
+def test_leftovers_that_last_add_up_to_no_more_than_noise(sigma):
+    rng = np.random.default_rng(12)
+    scene = 5 * rng.standard_normal((60, 90))
+    scene[:, :45] /= 10
+    frames = (100 + scene + sigma * rng.standard_normal((16, 60, 90))).astype(np.float32)
+    left = prepared_from(frames, background='spatial_median', noise='local').frames
+    together = left.sum(axis=0)[8:-8] / 4
+    assert together[:, 58:-8].std() < 1.25 * together[:, 8:32].std()
+    assert robust_deviation(left) == pytest.approx(1, rel=0.1)
 
 
 @pytest.mark.parametrize('noise', ['local', 'robust'])

@@ -8,7 +8,7 @@ from track_before_detect import geometry
 from track_before_detect.kernels.pictures.boxes import ring_level
 from track_before_detect.preprocess.background import temporal_median
 from track_before_detect.preprocess.per_frame import each_frame
-from track_before_detect.preprocess.resampling import warped_frames
+from track_before_detect.preprocess.resampling import stand_still, warped_frames
 from track_before_detect.preprocess.robust import MAD_TO_DEVIATION, robust_deviation
 
 _RING_WIDTHS = 3, 7  # half sides of the ring of a pixel, in widths of a target
@@ -64,6 +64,46 @@ def local_level(frame: NDArray, floor: float, width_px: float) -> NDArray:
     if not np.isnan(whole):
         ring_level(frame, inner, outer, whole, level)
     return level
+
+
+def lasting_level(frames: NDArray, maps: NDArray, width_px: float) -> NDArray:
+    """Return the level around each pixel of what all frames show together.
+
+    What stays at a place of the scene adds up over the frames as a target does, noise only as the
+    square root of their number. So in frames of much noise leftovers too weak to be seen in any
+    are what stands out in a batch, and their level is that of the sum over the frames, divided by
+    that root: the deviation of white noise, and more where something lasts.
+
+    Parameters
+    ----------
+    frames, maps : arrays, shapes (T, H, W) and (T, 3, 3)
+        Real frames, NaN where masked, and what takes the registered plane to each of them.
+    width_px : float
+        Standard deviation of a target in pixels.
+
+    Returns
+    -------
+    float32 array, shape (1, H, W) or (T, H, W)
+        Root mean square in the ring of :func:`local_level`; that nearest by beyond the plane.
+    """
+    on_plane = frames if stand_still(maps) else warped_frames(frames, maps)
+    number = np.maximum(np.isfinite(on_plane).sum(axis=0), 1)
+    total = np.nansum(on_plane, axis=0) / np.sqrt(number, dtype=np.float32)
+    inner, outer = (2 * round(side * width_px) + 1 for side in _RING_WIDTHS)
+    level = np.empty((1, *total.shape), np.float32)
+    ring_level(total, inner, outer, 0.0, level[0])
+    if on_plane is frames:
+        return level
+    # It is smooth: the nearest pixel will do.
+    height, width = total.shape
+    places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+
+    def seen(matrix: NDArray) -> NDArray:
+        at = np.rint(np.nan_to_num(geometry.apply(matrix, places))).astype(int)
+        x, y = at.transpose(2, 0, 1)
+        return level[0, np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+
+    return np.stack([seen(matrix) for matrix in geometry.inverse(maps)])
 
 
 def pixel_level(frames: NDArray, floor: float = 0.0) -> NDArray:

@@ -24,6 +24,7 @@ from track_before_detect.preprocess.faults.frame_faults import (
 from track_before_detect.preprocess.given_pixels import given_level, masked_pixels
 from track_before_detect.preprocess.noise_level import (
     frame_level,
+    lasting_level,
     local_level,
     pixel_level,
     scene_level,
@@ -35,7 +36,12 @@ from track_before_detect.preprocess.registration.registration import (
     register_features,
     Registration,
 )
-from track_before_detect.preprocess.resampling import shift_whole, warped_frames
+from track_before_detect.preprocess.resampling import (
+    shift_whole,
+    stand_still,
+    warped_frames,
+)
+from track_before_detect.preprocess.robust import robust_deviation
 from track_before_detect.preprocess.scene_noise import scene_noise
 from track_before_detect.preprocess.whiteness import coloured_noise_factor
 from track_before_detect.types import FrameBatch, Remark
@@ -207,7 +213,7 @@ def noise_of_one(seen: PreparedBatch, batch: FrameBatch, options: DetectorOption
         is_whole = np.issubdtype(np.asarray(batch.frames).dtype, np.integer)
         floor = _QUANTISED_FLOOR if is_whole and prepared.scale == 'linear' else 0.0
         prepared = _divided(
-            prepared, _noise_level(prepared, options.noise, floor, width_px, kept),
+            prepared, _noise_level(prepared, options, floor, width_px, kept),
             prepared.frames is not seen.frames)
         prepared = _with_white_scale(prepared, width_px)
     if options.noise != 'local':
@@ -371,7 +377,7 @@ def _credible(registration: Registration | None) -> NDArray[np.float64] | None:
 def _without_still_scene(prepared: PreparedBatch) -> PreparedBatch:
     """Return a batch without what stands still on the registered plane."""
     left = remove_temporal_median(_real_parts(prepared.frames), prepared.maps)
-    if not _stand_still(prepared.maps):
+    if not stand_still(prepared.maps):
         remove_stripes(left)
     return replace(prepared, frames=left.view(prepared.frames.dtype))
 
@@ -413,15 +419,19 @@ def _divided(prepared: PreparedBatch, level: NDArray, in_place: bool) -> Prepare
                    noise_level=np.multiply(before, level, out=level if whole else None))
 
 
-def _noise_level(prepared: PreparedBatch, method: str, floor: float, width_px: float,
+def _noise_level(prepared: PreparedBatch, options: DetectorOptions, floor: float, width_px: float,
                  kept: KeptFrames) -> NDArray:
     """Return the level that broadcasts to the frames, NaN where nothing is known."""
+    method, is_off = options.noise, options.background in _STILL_SCENE
     parts, maps = _real_parts(prepared.frames), prepared.maps
     if method == 'robust':
         level = frame_level(parts, floor)
     elif method == 'local':
         level = np.stack(kept.each(local_level, parts, prepared.frame_indices, floor, width_px))
-    elif _stand_still(maps):
+        if not is_off:
+            np.maximum(level, lasting_level(parts, maps, width_px), out=level)
+            level = _of_unit_bulk(parts, level, floor)
+    elif stand_still(maps):
         level = pixel_level(parts, floor)
     else:
         level = scene_level(parts, maps, floor)
@@ -437,9 +447,11 @@ def _noise_level(prepared: PreparedBatch, method: str, floor: float, width_px: f
     return level
 
 
-def _stand_still(maps: NDArray) -> bool:
-    """Return whether the scene is at the same place in all frames."""
-    return np.array_equal(maps, np.broadcast_to(np.eye(3), maps.shape))
+def _of_unit_bulk(frames: NDArray, level: NDArray, floor: float) -> NDArray:
+    """Return a level by a factor by which the bulk of the frames has unit deviation."""
+    some = np.s_[:, ::2, ::2]
+    known = np.where(level[some] > 0, level[some], np.float32(np.nan))
+    return np.maximum(level * (robust_deviation(frames[some] / known) or 1.0), floor)
 
 
 def _with_white_scale(prepared: PreparedBatch, width_px: float) -> PreparedBatch:

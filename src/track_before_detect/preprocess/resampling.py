@@ -8,6 +8,11 @@ from track_before_detect.kernels import warp as warp_kernels
 from track_before_detect.preprocess.per_frame import each_frame
 
 
+def stand_still(maps: NDArray) -> bool:
+    """Return whether maps (T, 3, 3) leave the scene at the same place in all frames."""
+    return np.array_equal(maps, np.broadcast_to(np.eye(3), maps.shape))
+
+
 def warped(image: NDArray, matrix: NDArray) -> NDArray:
     """Return an image as it is seen through a map, interpolated by cubic convolution.
 

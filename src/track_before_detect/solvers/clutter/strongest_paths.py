@@ -60,14 +60,21 @@ class StrongestPaths:
         self.frames = task.paths.frames.copy()
         self._searched = signs[-1]
         self._by_sign: dict[int, list[SignedPath]] = {}
+        # Value of each sign below which there are paths that no search listed.
+        self._least: dict[int, float] = {}
         # Most targets are bright: what is searched last is known when one is taken.
         for sign in reversed(signs):
             self._by_sign[sign] = self._found(sign)
 
     def by_strength(self) -> list[SignedPath]:
-        """Return the paths, the strongest first."""
-        return sorted((path for found in self._by_sign.values() for path in found),
-                      key=strength, reverse=True)
+        """Return the paths, the strongest first, as far down as all of them are known.
+
+        One that lost pixels may be weaker than many that no search listed, and says nothing of
+        the tail that these belong to.
+        """
+        least = max(self._least.values())
+        return sorted((path for found in self._by_sign.values() for path in found
+                       if path.value >= least), key=strength, reverse=True)
 
     def refined(self, path: SignedPath) -> SignedPath:
         """Return a path moved to where it explains most."""
@@ -108,13 +115,14 @@ class StrongestPaths:
         levels = [0.0]
         if sign != self._searched:
             self._search.forget()
-        elif len(self._by_sign.get(sign, ())) == N_PATHS:
+        elif self._least.get(sign, 0.0) > 0:
             # Only states that may pass the weakest are then computed anew.
-            levels = [self._by_sign[sign][-1].value, 0.0]
+            levels = [self._least[sign], 0.0]
         self._searched = sign
         for level in levels:
             _, found = self._search.best_paths(
                 self._of_sign(sign), level, self._separation, lambda _: True, N_PATHS)
             if len(found) >= ENOUGH:
                 break
+        self._least[sign] = found[-1].value if len(found) == N_PATHS else level
         return [SignedPath(path.positions, path.value, path.cost, sign) for path in found]
