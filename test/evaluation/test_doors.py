@@ -24,7 +24,7 @@ def test_only_commands_that_measure_import_studies_and_benches():
                  if ROOM not in path.parents
                  and any(name.startswith('evaluation') for name in imported_modules(path))}
     assert importers
-    assert importers == {('cli', 'evaluate.py'), ('cli', 'bench.py'), ('cli', 'plan.py')}
+    assert importers == {('cli', 'evaluate.py'), ('cli', 'bench.py')}
 
 
 def test_doors_of_the_rest_are_those_that_the_package_names():

@@ -58,14 +58,15 @@ def add_arguments(parser: Any) -> None:
 
 def run(arguments: Namespace) -> int:
     """Run a suite, print its table and write its files; return the exit code."""
-    from track_before_detect.evaluation.engine.kept_results import KeptResults
     from track_before_detect.evaluation.engine.report import (
         require_matplotlib,
         table_text,
         write_suite_result,
     )
-    from track_before_detect.evaluation.engine.runner import Runner, Workers
+    from track_before_detect.evaluation.engine.runner import Runner
     from track_before_detect.evaluation.studies.registry import suite_named
+    from track_before_detect.runs.kept_results import KeptResults
+    from track_before_detect.runs.workers import Workers
 
     suite = suite_named(arguments.suite)
     output = Path(arguments.output)

@@ -89,7 +89,7 @@ def _cells(plan: Plan) -> tuple[str, ...]:
 def _plan(recording: Recording, options: DetectorOptions, source: tuple[Path, Any, Any],
           progress: Progress) -> Plan:
     """Return what the search of a recording costs."""
-    from track_before_detect.evaluation.engine.own_process import in_own_process
+    from track_before_detect.runs.own_process import in_own_process
     from track_before_detect.tracking.pipeline import TrackingPipeline
 
     parts, length, hop = _cut(recording, options)
@@ -167,7 +167,7 @@ def _tried(source: tuple[Path, Any, Any], options: DetectorOptions, side: int,
     Until the loops are loaded, of the first batch, and of each later one; then the largest memory.
     """
     began = _clocks()
-    from track_before_detect.evaluation.engine.own_process import peak_memory
+    from track_before_detect.runs.own_process import peak_memory
     from track_before_detect.solvers.search.memory import BYTES_PER_GB, memory_for_search
     from track_before_detect.tracking.pipeline import TrackingPipeline
     from track_before_detect.tracking.recording import batches

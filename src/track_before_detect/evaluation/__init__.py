@@ -6,6 +6,7 @@ each bench of ``tbd bench``. Only these two commands import this room, so that i
 distribution of its own. These are the doors of the rest that it goes through:
 
 - for everything: ``atomic_files``, ``errors``, ``options``, ``parallel``, ``types``,
+  ``runs``, ``runs.own_process``,
   ``recordings.result_files``;
 - recordings with truth: ``recordings.images``, ``recordings.open_recording``,
   ``recordings.overlay``, ``recordings.read_errors``, ``recordings.recording``,

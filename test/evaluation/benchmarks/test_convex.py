@@ -17,7 +17,7 @@ from track_before_detect.evaluation.benchmarks.path_search import (
 )
 from track_before_detect.evaluation.benchmarks.registry import bench_named, BENCHES
 from track_before_detect.evaluation.engine.machine import describe_machine
-from track_before_detect.evaluation.engine.own_process import in_own_process
+from track_before_detect.runs.own_process import in_own_process
 from track_before_detect.solvers.ring.merit_functions import merit_functions
 
 TINY = {'height': 40, 'width': 44, 'n_frames': 6, 'snr': 8.0}

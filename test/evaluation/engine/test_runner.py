@@ -8,10 +8,11 @@ import pytest
 from canned import quiet
 from track_before_detect.errors import MissingExtraError, ParameterError
 from track_before_detect.evaluation import studies
-from track_before_detect.evaluation.engine.kept_results import KeptResults, sources_of
-from track_before_detect.evaluation.engine.runner import Runner, Workers
+from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.engine.seeds import items_of, seeds_of
 from track_before_detect.parallel import usable_cores
+from track_before_detect.runs.kept_results import KeptResults, sources_of
+from track_before_detect.runs.workers import Workers
 
 ITEMS = [{'seed': seed, 'scale': 0.5} for seed in (3, 1, 4, 1, 5)]
 HALVES = [{'value': 0.5 * item['seed']} for item in ITEMS]

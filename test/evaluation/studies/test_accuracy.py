@@ -3,9 +3,10 @@ import pytest
 
 from canned import Canned, quiet
 from naive import gaussian_stamp_image
-from track_before_detect.evaluation.engine.runner import Runner, Workers
+from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.studies.accuracy.runs import isolated_target
 from track_before_detect.evaluation.studies.accuracy.suite import cramer_rao, run_accuracy
+from track_before_detect.runs.workers import Workers
 
 
 def test_bound_is_the_inverse_of_the_information_in_the_frames():

@@ -11,12 +11,12 @@ from typing import Any
 from track_before_detect.evaluation.benchmarks import path_search
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
 from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
-from track_before_detect.evaluation.engine.own_process import in_own_process, peak_memory
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.base import grid_shape
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
+from track_before_detect.runs.own_process import in_own_process, peak_memory
 from track_before_detect.simulation.scenarios import simulate, SimulatedRecording
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.viterbi_table import RowThreads, ViterbiTable

@@ -12,9 +12,9 @@ import numpy as np
 
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
 from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
-from track_before_detect.evaluation.engine.own_process import in_own_process, peak_memory
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.options import DetectorOptions
+from track_before_detect.runs.own_process import in_own_process, peak_memory
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.memory import BYTES_PER_GB

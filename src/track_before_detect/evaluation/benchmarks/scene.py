@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
 from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
-from track_before_detect.evaluation.engine.own_process import in_own_process, peak_memory
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.options import DetectorOptions
 from track_before_detect.parallel import ahead
 from track_before_detect.preprocess.per_frame import KeptFrames
 from track_before_detect.preprocess.prepare import noise_of_one, pictures, PreparedBatch
+from track_before_detect.runs.own_process import in_own_process, peak_memory
 from track_before_detect.simulation.backdrop import backdrop
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.tracking.pipeline import BACKGROUNDS, TrackingPipeline
