@@ -113,7 +113,9 @@ _NO_STREAKS = Limit('exposure_s', 'it takes an exposure for a moment; convex and
                     'streaks')
 _NOT_STOPPED = Limit('max_time_s', 'its compiled search of a batch ends by itself, after as many '
                      'targets as a batch may hold')
-_SMALL = Limit('max_memory_gb', 'only convex and greedy can hold a part of what they search')
+_SMALL = (
+    Limit('max_memory_gb', 'only convex and greedy can hold a part of what they search'),
+    Limit('tile_px', 'only convex and greedy are searched tile by tile'))
 _WHOLE_BATCH = Limit('presence', 'it follows a target through the whole batch')
 _ONE_MODEL = Limit('amplitude_model', 'it cancels targets with one model of their amplitudes',
                    ('constant',))
@@ -136,7 +138,7 @@ CAPABILITIES = (
         'in one direction (`_dp`) or as a ring (`_dpr`): Fu et al. 2022',
         (*(Limit(name, 'it needs a Gaussian sampled at the pixel centres')
            for name in ('psf', 'psf_model')),
-         _NO_STREAKS, *_BOUNDED_SPEED, _SMALL, _WHOLE_BATCH,
+         _NO_STREAKS, *_BOUNDED_SPEED, *_SMALL, _WHOLE_BATCH,
          Limit('amplitudes', 'it looks for the largest sums'),
          Limit('amplitude_model', 'it adds up amplitudes as they are, as if they were constant',
                ('constant',), no_effect=('constant',)),
@@ -145,15 +147,15 @@ CAPABILITIES = (
          _NO_SCHEDULE, _IN_NOISE, _ONE_DIRECTION_SET)),
     Capability(
         ('mt_dp',), 'dynamic programming with target cancellation: Guo et al. 2018',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _SMALL, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE,
+        (_NO_STREAKS, *_BOUNDED_SPEED, *_SMALL, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE,
          _IN_NOISE, _NOT_STOPPED, _ONE_DIRECTION_SET)),
     Capability(
         ('pc_dp',), 'the same for each sector of directions at the same time',
-        (_NO_STREAKS, *_BOUNDED_SPEED, _SMALL, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE,
+        (_NO_STREAKS, *_BOUNDED_SPEED, *_SMALL, _WHOLE_BATCH, _ONE_MODEL, _NO_SCHEDULE,
          _IN_NOISE, _NOT_STOPPED)),
     Capability(
         ('velocity_filter',), 'shift-and-stack along straight lines',
-        (_NO_STREAKS, _SMALL,
+        (_NO_STREAKS, *_SMALL,
          Limit('motion_model', 'it searches straight lines', ('constant_velocity', 'static'),
                no_effect=('constant_velocity',)),
          Limit('max_acceleration_px_s2', 'it searches straight lines'),
@@ -194,6 +196,9 @@ COMBINATIONS = (
           when=Condition('with amplitudes=complex and amplitude_model=constant',
                          lambda options: (options.amplitudes == 'complex'
                                           and options.amplitude_model == 'constant'))),
+    Limit('tile_px', 'the columns are no places that a tile could hold some of',
+          when=_with('motion_model', 'range_doppler', 'range_bearing')),
+    Limit('tile_px', 'the other paths of the whole batch are the threshold', when=_CLUTTER),
     *(Limit(name, 'the strongest other paths of the batch are the threshold', when=_CLUTTER)
       for name in ('presence', 'amplitude_model', 'threshold', 'motion_model', 'exposure_s')),
     Limit('amplitude_model', 'a modulus that is constant gains too little to be searched beside',
@@ -220,6 +225,7 @@ SEVERAL_SENSORS = (
     Limit('background', 'a background is of one sensor',
           ('temporal_median', 'spatial_median', 'temporal_spatial_median')),
     Limit('calibration', 'clutter is that of one sensor'),
+    Limit('tile_px', 'they look at a common plane as a whole'),
     Limit('motion_model', 'they look at a common plane', ('constant_velocity', 'static')),
     Limit('amplitude_model', 'what is constant in the units of one sensor is not in those of '
           'another'),

@@ -159,6 +159,11 @@ class DetectorOptions:
         'once it holds a part of them at a time, and finds the same. Where that is still too '
         'much the fastest motions are left out, with a warning. Automatic is a third of what is '
         'free, at least 1 GiB.', kind='number', unit='GB', above=0.0, optional=True)
+    tile_px: int | None = declared(
+        None, 'Side of the tiles in which larger frames are searched, one after the other and '
+        'each with a margin of what targets cross, under one threshold; a target is found once. '
+        'Memory is that of a tile, and what the frames themselves take. Automatic is no tiles.',
+        kind='integer', unit='px', minimum=32, optional=True)
     registration: str = declared(
         'none', 'How frames are aligned before the search: by a shift, or also by a turn and a '
         'zoom (affine) and a slope of the scene (homography); auto takes for each batch the '

@@ -13,12 +13,12 @@ Progress = Callable[[str, float], None]
 
 
 class Count(float):
-    """The share of loops that are compiled, and in words how many of how many since when."""
+    """A share that is done, and in words how many of how many."""
 
-    def __new__(cls, done: int, total: int, seconds: float) -> Count:
-        """Return the share of ``done`` loops of ``total``."""
-        count = super().__new__(cls, done / total)
-        count.words = f'{done} of {total} loops, {seconds:.0f} s'
+    def __new__(cls, share: float, words: str) -> Count:
+        """Return the share with its words."""
+        count = super().__new__(cls, share)
+        count.words = words
         return count
 
     words: str
@@ -64,6 +64,8 @@ class FrameBatch:
     taken : array of int, shape (T, 2), optional
         Where they come from several sensors: the number of the sensor that took each frame, and
         of the frame among its own.
+    part_of : tuple of int, optional
+        (H, W) of the frames of which these are a tile; the threshold is theirs.
     """
 
     frames: NDArray
@@ -71,6 +73,7 @@ class FrameBatch:
     frame_indices: NDArray[np.int64]
     scene: NDArray[np.float64] | None = None
     taken: NDArray[np.int64] | None = None
+    part_of: tuple[int, int] | None = None
 
     @classmethod
     def of(cls, frames: NDArray, stamps: NDArray | None = None) -> FrameBatch:

@@ -1,7 +1,7 @@
 """``tbd detect``: find trajectories in a recording."""
 
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 import dataclasses
 from pathlib import Path
 import sys
@@ -71,6 +71,8 @@ examples:
   a folder of images taken at 25 frames per second, and many recordings at once:
     tbd detect frames/ --fps 25
     tbd detect 'flights/*.mp4' night.npz --output results
+  a night of recordings on all cores; begun again, it goes on where it stopped:
+    tbd detect 'night/*.fits' --output results --scheduler local
   a film of it, and what other programs read:
     tbd detect flight.mp4 --video overlay.mp4 --formats mot,coco
     tbd detect flight.mp4 --json - | jq .properties.snr
@@ -88,6 +90,13 @@ def add_arguments(parser: Any) -> None:
     parser.add_argument('--explain', action='store_true',
                         help='list candidates that were rejected, and why (calibration=clutter)')
     add_result_arguments(parser)
+    parser.add_argument('--scheduler', metavar='WHERE',
+                        help='search several recordings at a time: local on the cores of this '
+                        'machine, or tcp://HOST:8786 on the workers of that Dask scheduler, which '
+                        'have to see the recordings and DIR under the same names; what an earlier '
+                        'run has finished is kept')
+    parser.add_argument('--jobs', metavar='N', type=int,
+                        help='workers of --scheduler local (default: one per core)')
     parser.add_argument(
         '--list-options', action=PrintAndExit,
         text=lambda: '\n'.join(option_lines(option, 'auto') for option in describe()),
@@ -126,32 +135,59 @@ def run(arguments: Namespace) -> int:
     paths = expand_inputs(arguments.inputs)
     # Where lines of JSON are asked for, other programs read what is printed.
     words = sys.stderr if arguments.json else sys.stdout
+    if arguments.scheduler is not None:
+        from track_before_detect.cli.spread.recordings import search_on_workers
+        return search_on_workers(paths, arguments, told, words)
     if len(paths) > 1:
-        return _search_all(paths, arguments, told, wanted, words)
-    result, text, written = _search(paths[0], Path(arguments.output), arguments, told, wanted)
+        return exit_code([said_of(path, output, outcome_of(
+            path, output, arguments, told, wanted), words)
+            for path, output in zip(paths, folders_of(paths, arguments), strict=True)])
+    result, text, written, lines = _search(paths[0], Path(arguments.output), arguments, told,
+                                           wanted)
+    sys.stdout.writelines(lines)
     print(text, file=words)
     print(f'written: {", ".join(map(str, written))}', file=words)
     return FOUND if result.trajectories else NOTHING_FOUND
 
 
-def _search_all(paths: Sequence[Path], arguments: Namespace, told: Mapping[str, Any],
-                wanted: Wanted, words: TextIO) -> int:
-    """Search each recording into a folder of its own, whatever becomes of the others."""
-    codes = set()
-    for path, name in zip(paths, _names(paths), strict=True):
-        output = Path(arguments.output) / name
-        try:
-            result, _, _ = _search(path, output, arguments, told, wanted)
-        except (TbdError, OSError, MemoryError) as error:
-            said = error_words(error)
-            codes.add(fail('tbd', said if path.name in said else f'{path}: {said}'))
-            continue
-        count = len(result.trajectories)
-        found = 'no trajectory' if not count else '1 trajectory' if count == 1 else (
-            f'{count} trajectories')
-        print(f'{path}: {found}, written: {output}', flush=True, file=words)
-        codes.add(FOUND if count else NOTHING_FOUND)
-    return next(code for code in (BAD_INPUT, FOUND, NOTHING_FOUND) if code in codes)
+def outcome_of(path: Path, output: Path, arguments: Namespace, told: Mapping[str, Any],
+               wanted: Wanted) -> dict[str, Any]:
+    """Search one of several recordings into a folder of its own, whatever becomes of it.
+
+    Returns an ``error`` or the number of trajectories ``found``, with the names of the files
+    ``written`` and the ``lines`` of JSON that are asked for; JSON can hold it.
+    """
+    try:
+        result, _, written, lines = _search(path, output, arguments, told, wanted)
+    except (TbdError, OSError, MemoryError) as error:
+        return {'error': error_words(error)}
+    return {'found': len(result.trajectories), 'written': [file.name for file in written],
+            'lines': lines}
+
+
+def said_of(path: Path, output: Path, outcome: Mapping[str, Any], words: TextIO) -> int:
+    """Say what came of one of several recordings; return its exit code."""
+    if 'error' in outcome:
+        said = outcome['error']
+        return fail('tbd', said if path.name in said else f'{path}: {said}')
+    count = outcome['found']
+    found = 'no trajectory' if not count else '1 trajectory' if count == 1 else (
+        f'{count} trajectories')
+    sys.stdout.writelines(outcome['lines'])
+    print(f'{path}: {found}, written: {output}', flush=True, file=words)
+    return FOUND if count else NOTHING_FOUND
+
+
+def exit_code(codes: Iterable[int]) -> int:
+    """Return the exit code of several recordings."""
+    found = set(codes)
+    return next(code for code in (BAD_INPUT, FOUND, NOTHING_FOUND) if code in found)
+
+
+def folders_of(paths: Sequence[Path], arguments: Namespace) -> list[Path]:
+    """Return where the results of each recording go; those of a single one beside nothing else."""
+    output = Path(arguments.output)
+    return [output] if len(paths) == 1 else [output / name for name in _names(paths)]
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
@@ -165,8 +201,11 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, Any],
-            wanted: Wanted) -> tuple[DetectionResult, str, list[Path]]:
-    """Search one recording and write the files; return what was found, also as text."""
+            wanted: Wanted) -> tuple[DetectionResult, str, list[Path], list[str]]:
+    """Search one recording and write the files.
+
+    Return what was found, also as text, the files, and the lines of JSON that are asked for.
+    """
     started = time.perf_counter()
     with open_recording(path, arguments.topic, arguments.fps) as recording:
         result, options = search(recording, arguments, told)
@@ -176,15 +215,13 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
         rejected = numbered(result) if arguments.explain else None
         with Progress.asked_for(arguments) as progress:
             written = write_folder(output, found, summary, wanted, rejected, progress)
-        if arguments.json:
-            sys.stdout.writelines(json_lines(found))
-            sys.stdout.flush()
+        lines = list(json_lines(found)) if arguments.json else []
         words = [_table(result.trajectories, recording.stamps_known), *_closing_words(result)]
         if rejected is not None:
             words.append(_explanation(rejected, result))
         elif n_above(result) or (result.rejected and not result.trajectories):
             words.append(_hint(result))
-        return result, '\n'.join(words), written
+        return result, '\n'.join(words), written, lines
 
 
 def search(recording: Recording, arguments: Namespace, told: Mapping[str, Any],

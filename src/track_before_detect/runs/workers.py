@@ -4,6 +4,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
 from dataclasses import dataclass
 from functools import partial
+import logging
 from typing import Any
 
 from track_before_detect.errors import DataError, MissingExtraError, ParameterError
@@ -77,6 +78,8 @@ class Workers:
         """Yield the results of a Dask cluster; what a worker took with it is done by another."""
         with _naming_what_is_missing('dask', self.scheduler), ExitStack() as stack:
             from distributed import as_completed, Client, KilledWorker, LocalCluster
+            # Whoever sees our log wants to know nothing of who talks to whom.
+            logging.getLogger('distributed').setLevel(logging.ERROR)
             cluster = self.scheduler
             if cluster is None:
                 cluster = stack.enter_context(LocalCluster(

@@ -84,7 +84,8 @@ class EitherDetector(BatchDetector):
                progress: Progress | None = None) -> BatchResult:
         """Find the trajectories."""
         self.check_kind(batch.frames)
-        thresholds = self._thresholds_of_both(batch.stamps, batch.frames.shape[1:], progress)
+        thresholds = self._thresholds_of_both(
+            batch.stamps, batch.part_of or batch.frames.shape[1:], progress)
         searched_first, searched_then = self._detectors
         first = searched_first.task(batch, thresholds[0], weights, earlier, progress)
         if searched_first.passes_everywhere(first):

@@ -44,6 +44,7 @@ from track_before_detect.solvers.search.periodic_columns import (
     doppler_columns,
     PeriodicColumns,
 )
+from track_before_detect.solvers.tiles import tile_shape
 from track_before_detect.solvers.watch import Watch
 from track_before_detect.timestamps import median_interval
 from track_before_detect.types import FrameBatch, Progress, Step
@@ -142,7 +143,7 @@ class PathDetector(BatchDetector):
             if self.passes_everywhere(task):
                 return self.result(task, [], 'not_noise', [])
         measurement = self._measurement(batch.stamps, batch.taken)
-        shape = measurement.plane_shape(batch.frames.shape[1:])
+        shape = batch.part_of or measurement.plane_shape(batch.frames.shape[1:])
         threshold = self._threshold(batch, measurement, shape, progress)
         self._has_searched = True
         task = self.task(batch, threshold, weights, earlier, progress)
@@ -159,7 +160,7 @@ class PathDetector(BatchDetector):
         stamps = batch.stamps
         measurement = self._measurement(stamps, batch.taken)
         shape = measurement.plane_shape(batch.frames.shape[1:])
-        graph = self._graph(stamps, measurement, shape)
+        graph = self._graph(stamps, measurement, batch.part_of or shape)
         columns = columns_of(self.options, measurement, shape[1], graph)
         frames, weights = self._searched(columns.strip(batch.frames), weights if weights is None
                                          else columns.strip(np.asarray(weights)))
@@ -239,6 +240,7 @@ class PathDetector(BatchDetector):
     def _graph(self, stamps: NDArray, measurement: MeasurementModel,
                shape: tuple[int, int]) -> StateGraph:
         margin = doppler_columns(self.options, measurement, shape[1]).margin
+        shape = tile_shape(self.options, stamps, shape, measurement)
         return self._graphs.graph(stamps, measurement, shape, margin)
 
     def _threshold(self, batch: FrameBatch, measurement: MeasurementModel,

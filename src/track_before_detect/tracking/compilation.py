@@ -66,9 +66,11 @@ class _Watch(event.Listener):
         # What an earlier process compiled is loaded whole, with all that it calls.
         done = self._compiled.union(*(
             called for entry, called in self._entries.items() if entry.overloads))
+        n_done, n_all = len(done), len(self._wanted | done)
+        seconds = time.monotonic() - self._started
         try:
-            self._progress(LABEL, Count(len(done), len(self._wanted | done),
-                                        time.monotonic() - self._started))
+            self._progress(LABEL, Count(
+                n_done / n_all, f'{n_done} of {n_all} loops, {seconds:.0f} s'))
         except Exception as error:
             raise _Left(error) from error
 

@@ -36,6 +36,7 @@ from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.solvers.tiled import TiledDetector
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
 from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.compilation import LABEL, told_of_compiling
@@ -95,9 +96,10 @@ def make_detector(options: DetectorOptions) -> BatchDetector:
     if options.calibration == 'clutter':
         return ClutterDetector(options)
     kind = DETECTOR_CLASSES[options.detector]
-    if options.amplitude_model == 'either' and issubclass(kind, PathDetector):
-        return EitherDetector(options, kind)
-    return kind(options)
+    detector = (EitherDetector(options, kind)
+                if options.amplitude_model == 'either' and issubclass(kind, PathDetector)
+                else kind(options))
+    return detector if options.tile_px is None else TiledDetector(options, detector)
 
 
 def period_of(options: DetectorOptions, width: int) -> int | None:

@@ -1,0 +1,1 @@
+"""Searches that are shared out over workers."""

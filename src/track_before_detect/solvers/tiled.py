@@ -1,0 +1,126 @@
+"""Large frames searched tile by tile, with one threshold for all of them and each target once.
+
+What a tile sees of the targets that belong to it, and of those that overlap these, is what the
+whole frame shows; what is not is how these overlap others in turn, which ended outside.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.option_models import psf_of
+from track_before_detect.options import DetectorOptions
+from track_before_detect.solvers.batch_detector import (
+    BatchDetector,
+    BatchResult,
+    EarlierPaths,
+    FoundTrajectory,
+)
+from track_before_detect.solvers.calibration.noise_study import NoiseStudy
+from track_before_detect.solvers.tiles import tiles_of
+from track_before_detect.solvers.watch import Watch
+from track_before_detect.types import FrameBatch, Progress, worst_status
+
+# Two tiles find a target at the same place but for the last digits. Near the line between their
+# cores both are asked for it, and paths this near each other on average are one (px).
+BOTH_PX, SAME_PX = 1.0, 0.5
+
+
+class TiledDetector(BatchDetector):
+    """Searches frames larger than ``tile_px`` tile by tile.
+
+    Parameters
+    ----------
+    options : DetectorOptions
+        With ``tile_px``.
+    inner : BatchDetector
+        Searches a tile, with the threshold of the frame that it is part of.
+    """
+
+    def __init__(self, options: DetectorOptions, inner: BatchDetector):
+        super().__init__(options)
+        self._inner = inner
+        self._psf = psf_of(options)
+
+    def threshold(self, stamps: NDArray, shape: tuple[int, int],
+                  progress: Progress | None = None) -> float:
+        """Return the threshold for whole frames of this shape."""
+        threshold = self._inner.threshold(stamps, shape, progress)
+        self.threshold_source = self._inner.threshold_source
+        return threshold
+
+    def parts(self) -> Sequence[BatchDetector]:
+        """Return the detectors that have a threshold each."""
+        return self._inner.parts()
+
+    def noise_study(self, stamps: NDArray, shape: tuple[int, int]) -> NoiseStudy:
+        """Return how to find the largest statistic in noise."""
+        return self._inner.noise_study(stamps, shape)
+
+    def detect(self, batch: FrameBatch, weights: NDArray | None = None,
+               earlier: EarlierPaths | None = None,
+               progress: Progress | None = None) -> BatchResult:
+        """Find the trajectories."""
+        self.check_kind(batch.frames)
+        shape = batch.frames.shape[1:]
+        tiles = tiles_of(self.options, batch.stamps, shape, self._psf)
+        watch = Watch(self.options.max_time_s)
+        results, candidates = [], []
+        for number, tile in enumerate(tiles):
+            if results and watch.time_is_up():
+                break
+            here = earlier and replace(earlier, positions=[
+                positions - tile.begin for positions in earlier.positions])
+            result = self._inner.detect(
+                replace(batch, frames=tile.of(batch.frames), part_of=shape),
+                weights if weights is None else tile.of(weights), here,
+                progress and _share_of(progress, number, len(tiles)))
+            results.append(result)
+            for one in result.found:
+                found = replace(one, positions=one.positions + tile.begin)
+                depth = float(tile.depth(_middle(found, batch.stamps)))
+                candidates.append((depth, number, found))
+        self.threshold_source = self._inner.threshold_source
+        worst = worst_status(result.status for result in results)
+        return BatchResult(
+            _each_once(candidates), results[0].threshold, watch.status(worst),
+            [step for result in results for step in result.history],
+            float(np.fmax.reduce([result.gap for result in results])),
+            float(np.fmax.reduce([result.best_statistic for result in results])))
+
+
+def _middle(found: FoundTrajectory, stamps: NDArray) -> NDArray[np.float64]:
+    """Return where a target is in the frame, of those it is in, that is nearest to the middle."""
+    present = np.flatnonzero(np.isfinite(found.positions[:, 0]))
+    from_middle = np.abs(stamps[present] - 0.5 * (stamps[0] + stamps[-1]))
+    return found.positions[present[np.argmin(from_middle)]]
+
+
+def _each_once(candidates: list[tuple[float, int, FoundTrajectory]]) -> list[FoundTrajectory]:
+    """Return each target once, as the tile has it that it is deepest in, by its statistic.
+
+    Candidates are told with how deep they are in the core of a tile, and its number.
+    """
+    kept: list[tuple[int, FoundTrajectory]] = []
+    for depth, tile, one in sorted(candidates, key=lambda candidate: -candidate[0]):
+        if depth < -BOTH_PX or (depth < BOTH_PX and any(
+                tile != of_tile and _is_same(one, other) for of_tile, other in kept)):
+            continue
+        kept.append((tile, one))
+    return sorted((one for _, one in kept), key=lambda one: -one.statistic)
+
+
+def _is_same(one: FoundTrajectory, other: FoundTrajectory) -> bool:
+    distance = np.hypot(*(one.positions - other.positions).T)
+    return bool(np.isfinite(distance).any() and np.nanmean(distance) < SAME_PX)
+
+
+def _share_of(progress: Progress, number: int, total: int) -> Progress:
+    """Return what tells of the search of one of several tiles as part of that of all."""
+
+    def tell(label: str, done: float) -> None:
+        progress(label, (number + done) / total if label == 'searching' else done)
+
+    return tell
