@@ -11,6 +11,8 @@ HERE = Path(__file__).resolve().parent
 VERSION = re.search(r"^__version__ = '(.+)'$", (HERE / 'src' / PACKAGE / '__init__.py').read_text(
     encoding='utf-8'), re.MULTILINE)[1]
 
+# Version 2 names everything otherwise.
+ZARR = "zarr>=3; python_version >= '3.11'"
 EXTRAS = {
     'readers': ['pillow', 'tifffile', 'astropy', 'rosbags'],
     # The node that records; what it writes is read by the readers.
@@ -18,6 +20,7 @@ EXTRAS = {
     'plots': ['matplotlib'],
     'video': ['av>=12', 'pillow>=10.1'],
     'parquet': ['pyarrow'],
+    'zarr': [ZARR],
     # About 170 MB to load, 500 MB on disk.
     'view': ['rerun-sdk>=0.22'],
     'cli': ['tqdm', 'pyyaml'],
@@ -26,7 +29,7 @@ EXTRAS = {
     'parallel': ['joblib>=1.4'],
     'dask': ['joblib>=1.4', 'distributed'],
     'ray': ['joblib>=1.4', 'ray'],
-    'test': ['pytest>=7.4', 'pytest-xdist>=3.8', 'hypothesis', 'distributed'],
+    'test': ['pytest>=7.4', 'pytest-xdist>=3.8', 'hypothesis', 'distributed', ZARR],
     # An independent solver of the group lasso, for one test.
     'compare': ['skglm>=0.5'],
     # What else finds and links points, beside which tbd evaluate real sets the detector.

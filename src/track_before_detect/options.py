@@ -163,7 +163,7 @@ class DetectorOptions:
         None, 'Side of the tiles in which larger frames are searched, one after the other and '
         'each with a margin of what targets cross, under one threshold; a target is found once. '
         'Memory is that of a tile, and what the frames themselves take. Automatic is no tiles.',
-        kind='integer', unit='px', minimum=32, optional=True)
+        kind='integer', unit='px', minimum=8, optional=True)
     registration: str = declared(
         'none', 'How frames are aligned before the search: by a shift, or also by a turn and a '
         'zoom (affine) and a slope of the scene (homography); auto takes for each batch the '

@@ -109,7 +109,7 @@ def add_input_arguments(parser: Any) -> None:
         'inputs', metavar='INPUT', nargs='+',
         help="recordings, or patterns such as '*.npz': .npz (array frames (T, H, W); optional "
         'stamps in seconds, or fps), .npy, a folder of images or FITS files, a multi-page TIFF, a '
-        'FITS cube, a video, or a bag (folder, .db3, .mcap or .bag)')
+        'FITS cube, a video, Zarr (a folder, or .zip), or a bag (folder, .db3, .mcap or .bag)')
     parser.add_argument('--detector', metavar='NAME',
                         help=f'method, one of: {", ".join(DETECTORS)} (default: {DETECTORS[0]})')
     parser.add_argument('--config', metavar='FILE',

@@ -49,7 +49,7 @@ def open_npy(path: Path) -> Recording:
         raise DataError(f'{path} is empty')
     with read_errors(f'{path} is not a complete .npy array', _READ_ERRORS):
         frames = np.load(path, mmap_mode='r', allow_pickle=False)
-    _check_layout(f'array of {path}', frames.shape, frames.dtype)
+    check_layout(f'array of {path}', frames.shape, frames.dtype)
     return Recording(path.name, frames.shape[1:], frames.dtype, len(frames), MappedSource(frames))
 
 
@@ -116,7 +116,7 @@ class _NpzSource:
     def _read_layout(self) -> None:
         self.shape, fortran_order, self.dtype = _read_header(self._member)
         path = self._path
-        _check_layout(f"array 'frames' of {path}", self.shape, self.dtype)
+        check_layout(f"array 'frames' of {path}", self.shape, self.dtype)
         _check_size(path, self._archive, 'frames', self.shape, self.dtype, self._member.tell())
         self._next = 0
         self._is_scattered = fortran_order
@@ -160,7 +160,7 @@ def _read_header(file: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype]:
     raise DataError(f'.npy format version {version[0]}.{version[1]} is not for plain numbers')
 
 
-def _check_layout(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:
+def check_layout(name: str, shape: tuple[int, ...], dtype: np.dtype) -> None:
     """Refuse an array that holds no frames."""
     if dtype.hasobject or dtype.kind not in 'iufc':
         raise DataError(f'{name} must be numbers (T, H, W), got type {dtype}')

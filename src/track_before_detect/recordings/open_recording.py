@@ -23,9 +23,11 @@ from track_before_detect.recordings.rosbag import (
     PACKED_BAG_SUFFIXES,
 )
 from track_before_detect.recordings.video import open_video, VIDEO_SUFFIXES
+from track_before_detect.recordings.zarr_store import is_zarr, open_zarr
 
 SUPPORTED = ('.npz or .npy, a folder of images or FITS files, multi-page .tif, .fits, a video '
-             '(.mp4, .avi, .mkv, .mov), or a bag (a folder, .db3, .mcap, or .bag of ROS 1)')
+             '(.mp4, .avi, .mkv, .mov), Zarr (a folder, or .zip), or a bag (a folder, .db3, '
+             '.mcap, or .bag of ROS 1)')
 
 
 def open_recording(path: str | os.PathLike, topic: str | None = None,
@@ -37,8 +39,9 @@ def open_recording(path: str | os.PathLike, topic: str | None = None,
     path : path
         ``.npz`` with ``frames`` (T, H, W) and optionally ``stamps`` or ``fps``, and ``truth``;
         ``.npy`` with frames alone; a folder of images or FITS files; a multi-page TIFF; a FITS
-        file with a cube or an image for each frame; a video file; a rosbag2 folder or storage
-        file; a ``.bag`` of ROS 1.
+        file with a cube or an image for each frame; a video file; Zarr, a folder or a ``.zip``,
+        with an array (T, H, W) or a group that holds what a ``.npz`` does; a rosbag2 folder or
+        storage file; a ``.bag`` of ROS 1.
     topic : str, optional
         Topic of a bag; may be left out when only one topic is suitable.
     fps : float, optional
@@ -92,6 +95,8 @@ def _opened(path: Path, topic: str | None) -> Recording:
         raise DataError(f'{path} does not exist')
     suffix = path.suffix.lower()
     try:
+        if topic is None and is_zarr(path):
+            return open_zarr(path)
         bag = find_bag(path) if path.is_dir() else path if suffix in BAG_SUFFIXES else None
         if topic is not None and bag is None:
             raise DataError(f'only a bag has topics; {path} is none')

@@ -84,7 +84,7 @@ class Workers:
             if cluster is None:
                 cluster = stack.enter_context(LocalCluster(
                     n_workers=self.jobs or usable_cores(), threads_per_worker=1,
-                    dashboard_address=None))
+                    dashboard_address='127.0.0.1:0'))
             client = stack.enter_context(Client(cluster))
             owners = stack.pop_all()
         with owners:

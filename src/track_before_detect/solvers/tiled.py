@@ -67,7 +67,8 @@ class TiledDetector(BatchDetector):
         shape = batch.frames.shape[1:]
         tiles = tiles_of(self.options, batch.stamps, shape, self._psf)
         watch = Watch(self.options.max_time_s)
-        results, candidates = [], []
+        results: list[BatchResult] = []
+        candidates: list[tuple[float, int, FoundTrajectory]] = []
         for number, tile in enumerate(tiles):
             if results and watch.time_is_up():
                 break
