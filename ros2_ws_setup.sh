@@ -43,8 +43,9 @@ Environment:
   TBD_DATA_DIR      folder with real recordings for the tests that need them
   ROS_DOMAIN_ID     DDS domain of demo and test (a free one when not set)
 
-Exit codes: 0 done, 1 set-up failed (one sentence says why), 2 wrong usage or bad input, 3 demo ran
-and found nothing, 130 interrupted; test, build and docs end with the code of pytest, colcon, Sphinx.
+Exit codes: 0 done, or demo ended by Ctrl-C, 1 set-up failed (one sentence says why), 2 wrong usage or
+bad input, 3 demo ran and found nothing, 130 set-up interrupted; test, build and docs end with the code
+of pytest, colcon, Sphinx.
 HELP
 }
 

@@ -51,11 +51,10 @@ def end(process, *numbers):
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize(('name', 'code'), [
-    ('executables.detector', 0), ('executables.frame_publisher', 0), ('executables.recorder', 0),
-    ('demo', 130)])
+@pytest.mark.parametrize('name', [
+    'executables.detector', 'executables.frame_publisher', 'executables.recorder', 'demo'])
 def test_signals_at_any_time_after_the_start_end_it_in_time_without_a_traceback(
-        ros_domain, tmp_path, name, code):
+        ros_domain, tmp_path, name):
     for delay_s in (0.0, 0.4, 0.8, 1.6):
         process = start(name, folder=tmp_path)
         wait_until_it_handles_signals(process)
@@ -63,7 +62,7 @@ def test_signals_at_any_time_after_the_start_end_it_in_time_without_a_traceback(
         number = next(SIGNALS)
         assert end(process, number, number) < LONGEST_S, delay_s
         words = (tmp_path / f'{name}.log').read_text()
-        assert process.returncode == code, (delay_s, words)
+        assert process.returncode == 0, (delay_s, words)
         assert 'Traceback' not in words and 'rror' not in words, (delay_s, words)
 
 

@@ -3,8 +3,7 @@
 from track_before_detect.ros.executables.ending import Ending
 
 if __name__ == '__main__':
-    # Before what takes a second to import. 130 is what a shell expects of a command that was
-    # interrupted; the nodes, which are told a little later, end first.
-    ending = Ending(130, grace_s=1.85)
+    # Before what takes a second to import. The nodes, which are told a little later, end first.
+    ending = Ending(grace_s=1.85)
     from track_before_detect.ros.demo.play import main
     main(ending)

@@ -32,7 +32,6 @@ from track_before_detect.cli.console import (
     fail,
     FAILED,
     FOUND,
-    INTERRUPTED,
     NOTHING_FOUND,
     Parser,
 )
@@ -147,7 +146,7 @@ class Listening:
         """Receive for a moment and make sure that the detector is well."""
         self.executor.spin_once(timeout_sec=0.1)
         if self.ending.requested:
-            raise DemoError('interrupted', INTERRUPTED)
+            raise KeyboardInterrupt
         code = self.detector.exit_code
         if code is not None:
             raise DemoError(_ended(self.detector), BAD_INPUT if code == BAD_INPUT else FAILED)
@@ -195,11 +194,12 @@ def main(ending: Ending, arguments: Sequence[str] | None = None) -> NoReturn:
         code = _run(options, status, ending)
     except DemoError as error:
         status.clear()
-        if error.code == INTERRUPTED:
-            print(f'demo: {error}', file=sys.stderr)
-            code = INTERRUPTED
-        else:
-            code = fail('demo', error, error.code)
+        code = fail('demo', error, error.code)
+    except KeyboardInterrupt:
+        status.clear()
+        print('demo: interrupted', file=sys.stderr)
+        # Ended as whoever watched it wished, like the nodes.
+        code = 0
     except (TbdError, OSError) as error:
         status.clear()
         code = fail('demo', error)
@@ -212,8 +212,8 @@ def _parser() -> Parser:
         description='Play a recording to the detector over DDS and show what it finds.',
         epilog='example:\n  demo pan.npz --set registration=translation '
         '--set max_speed_px_s=100 \\\n      --set background=temporal_median --set noise=robust\n'
-        '\nexit codes: 0 found, 3 nothing found, 2 bad input or option, 1 failed, '
-        '130 interrupted')
+        '\nexit codes: 0 found, or ended by Ctrl-C, 3 nothing found, 2 bad input or option, '
+        '1 failed')
     parser.add_argument(
         'input', metavar='INPUT', nargs='?',
         help='.npz, folder of images, multi-page TIFF, FITS cube, video or rosbag2 (default: the '
