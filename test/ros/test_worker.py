@@ -1,5 +1,6 @@
 """The search thread with a pipeline of the test's own; nothing is sent."""
 
+from copy import copy
 import threading
 import time
 
@@ -7,9 +8,12 @@ import numpy as np
 import pytest
 
 from track_before_detect.errors import ParameterError
+from track_before_detect.options import DetectorOptions
+from track_before_detect.parallel import usable_cores
 from track_before_detect.ros.frame_queue import StreamRequest
 from track_before_detect.ros.worker import StreamWorker
-from track_before_detect.types import DetectionResult
+from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.types import DetectionResult, FrameBatch
 
 TIMEOUT_S = 60.0
 PLAIN = {'batch_length': 4, 'hop': 4}
@@ -38,8 +42,8 @@ class Pipeline:
             progress('calibrating', 0.5)
         return self.options.threshold or 10.0
 
-    def process(self, batch, progress):
-        return DetectionResult([], self.options.threshold or 10.0, 'converged')
+    def prepare(self, batch, progress):
+        return lambda progress: DetectionResult([], self.options.threshold or 10.0, 'converged')
 
     def reset(self):
         pass
@@ -51,13 +55,13 @@ def start():
     workers = []
     PREPARES.clear()
 
-    def start_worker(preset, told, **expected):
+    def start_worker(preset, told, make_pipeline=Pipeline, **expected):
         warnings, results, choices = [], [], []
         started = StreamWorker(
             StreamRequest(preset, told, queue_length=100), on_result=results.append,
             on_reset=lambda: None, on_state=lambda: None,
             on_choice=lambda: choices.append(started.status.reasons),
-            on_warning=lambda kind, text: warnings.append(text), make_pipeline=Pipeline,
+            on_warning=lambda kind, text: warnings.append(text), make_pipeline=make_pipeline,
             **expected)
         started.warnings, started.results, started.choices = warnings, results, choices
         workers.append(started)
@@ -198,7 +202,7 @@ def test_frames_of_unit_noise_come_out_as_without_a_preset(start):
         feed(stream, 0.1 * np.arange(45), (24, 32), generator.standard_normal)
         wait_for_batches(stream, 3)
         results.append(([r.batch.frame_indices.tolist() for r in stream.results],
-                        stream.status.options, stream.queue.counters))
+                        stream.status.options, copy(stream.queue.counters)))
     assert results[0] == results[1]
 
 
@@ -298,3 +302,100 @@ def test_of_options_that_change_all_the_time_some_take_effect_and_every_frame_is
     assert len(thresholds) > 3
     wait_for(lambda: stream.queue.counters.used == 104)
     assert stream.queue.counters.batches == 26
+
+
+class Overlapping(Pipeline):
+    """Searches each batch for as long as the next is not prepared, and may not be interrupted."""
+
+    def __init__(self, options, earlier):
+        super().__init__(options, earlier)
+        self.prepared, self.let_go = [threading.Event() for _ in range(4)], threading.Event()
+        self.ahead = []
+
+    def prepare(self, batch, progress):
+        number = batch.frame_indices[0] // 4
+        self.prepared[number].set()
+
+        def search(progress):
+            self.ahead.append(number == 3 or self.prepared[number + 1].wait(TIMEOUT_S))
+            # That after the next is not: one is held beside the one that is searched.
+            if number < 2:
+                self.ahead.append(not self.prepared[number + 2].wait(0.05))
+            return super(Overlapping, self).prepare(batch, progress)(progress)
+
+        return search
+
+
+@pytest.mark.skipif(usable_cores() == 1, reason='a single core')
+def test_the_next_batch_is_prepared_while_one_is_searched_and_results_keep_their_order(start):
+    pipelines = []
+
+    def make(options, earlier):
+        pipelines.append(Overlapping(options, earlier))
+        return pipelines[-1]
+
+    worker = start('none', PLAIN, make)
+    feed(worker, 0.25 * np.arange(16))
+    wait_for_batches(worker, 4)
+    assert pipelines[0].ahead == [True] * 6
+    assert [r.batch.frame_indices[0] for r in worker.results] == [0, 4, 8, 12]
+
+
+def test_frames_that_wait_give_what_batches_one_after_the_other_give(start, moving_target):
+    frames, _ = moving_target(40)
+    frames = 100 + 5 * frames + 50 * scene(frames.shape[1:]).astype(np.float32)
+    told = {'batch_length': 8, 'hop': 4, 'threshold': 9.0, 'background': 'temporal_median',
+            'noise': 'robust'}
+    worker = start('none', told, TrackingPipeline)
+    for k, frame in enumerate(frames):
+        worker.queue.put(frame, 0.1 * k, None)
+    wait_for_batches(worker, 9)
+    alone = TrackingPipeline(DetectorOptions(**told))
+    found = 0
+    for number, result in enumerate(worker.results):
+        rows = np.arange(4 * number, 4 * number + 8)
+        expected = alone.process(FrameBatch(frames[rows], 0.1 * rows, rows))
+        pairs = list(zip(result.detection.trajectories, expected.trajectories, strict=True))
+        found += len(pairs)
+        for one, other in pairs:
+            assert (one.id, one.statistic) == (other.id, other.statistic)
+            np.testing.assert_array_equal(one.positions, other.positions)
+    assert found > 4
+
+
+class Endless(Pipeline):
+    """Searches until it is told to stop."""
+
+    def prepare(self, batch, progress):
+        def search(progress):
+            while True:
+                progress('searching', 0.5)
+                time.sleep(0.001)
+
+        return search
+
+
+def test_a_stop_ends_the_search_and_what_waits_for_it_at_once(start):
+    worker = start('none', PLAIN, Endless)
+    for k in range(20):
+        worker.queue.put(np.zeros((3, 5), np.float32), 0.25 * k, None)
+    wait_for(lambda: worker.queue.counters.used >= 12)
+    began_s = time.monotonic()
+    assert worker.stop(TIMEOUT_S)
+    assert time.monotonic() - began_s < 1.0
+
+
+def test_a_search_that_fails_is_said_and_the_next_batch_is_searched(start):
+    class Broken(Pipeline):
+        def prepare(self, batch, progress):
+            def search(progress):
+                raise SystemError
+            return search if batch.frame_indices[0] else super().prepare(batch, progress)
+
+    worker = start('none', PLAIN, Broken)
+    feed(worker, 0.25 * np.arange(8))
+    wait_for(lambda: worker.queue.counters.failures)
+    assert 'SystemError' in worker.warnings[-1]
+    feed(worker, 2.0 + 0.25 * np.arange(4))
+    wait_for(lambda: worker.queue.counters.failures == 2)
+    assert worker.status.state == 'ready' and len(worker.results) == 1

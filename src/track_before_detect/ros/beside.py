@@ -17,7 +17,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.ros.frame_queue import StreamRequest
 from track_before_detect.tracking.presets import Choice
 from track_before_detect.tracking.recording import BatchPipeline
-from track_before_detect.types import DetectionResult, FrameBatch, Progress
+from track_before_detect.types import Progress
 
 # A preparation that has taken longer is left for what is asked for next; a shorter one is
 # finished, so that of options that change all the time some take effect.
@@ -35,9 +35,6 @@ class StreamPipeline(BatchPipeline, Protocol):
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
                 progress: Progress | None = None) -> float:
         """Compile every kernel, and return the threshold, NaN where a batch decides it."""
-
-    def process(self, batch: FrameBatch, progress: Progress | None = None) -> DetectionResult:
-        """Find the trajectories of one batch, with the ids of the batches before."""
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""

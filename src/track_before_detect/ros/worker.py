@@ -1,10 +1,12 @@
-"""The search thread: frames from the queue to the window, batches to the pipeline.
+"""From the queue to the window, from there to the pipeline: a stream searched in two threads.
 
-No ROS types in here.
+One takes frames and prepares batches, while the other searches the batch before. No ROS types in
+here.
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 import logging
 import threading
 import time
@@ -15,6 +17,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, TbdError
 from track_before_detect.options import DetectorOptions
+from track_before_detect.parallel import at_most_cores, usable_cores
 from track_before_detect.ros.beside import (
     Beside,
     MakePipeline,
@@ -23,9 +26,10 @@ from track_before_detect.ros.beside import (
     Wanted,
 )
 from track_before_detect.ros.frame_queue import FrameQueue, StreamFrame, StreamRequest
+from track_before_detect.ros.in_turn import InTurn
 from track_before_detect.ros.intake.sensor_stream import SensorStream
 from track_before_detect.tracking.batcher import Intake, Outcome
-from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.tracking.pipeline import BatchSearch, TrackingPipeline
 from track_before_detect.tracking.presets import Choice
 from track_before_detect.types import Count, DetectionResult, FrameBatch
 
@@ -88,7 +92,10 @@ class _StopRequestedError(Exception):
 
 
 class StreamWorker:
-    """Search a stream of frames in a thread of its own.
+    """Search a stream of frames in threads of its own.
+
+    Where frames wait, a batch is prepared on one core while another searches the one before; a
+    batch that is prepared by then is still searched with the options of before a change.
 
     Parameters
     ----------
@@ -100,7 +107,7 @@ class StreamWorker:
     expected_interval_s : float, optional
         Time between frames in seconds.
     on_result : callable
-        Takes a :class:`StreamResult`; runs in the worker's thread, like those below.
+        Takes a :class:`StreamResult`; runs in a thread of the worker, like those below.
     on_reset : callable
         Takes nothing; ids start again.
     on_state : callable
@@ -160,10 +167,11 @@ class StreamWorker:
         self._beside = Beside(make_pipeline, self._progress_beside, self.queue.hand_over)
         self._beside_counts = False
         self._first_prepared = threading.Event()
-        self._thread = threading.Thread(target=self._run, name='search', daemon=True)
+        self._searches = InTurn('search')
+        self._thread = threading.Thread(target=self._run, name='intake', daemon=True)
 
     def start(self) -> None:
-        """Start the thread, which compiles, and calibrates as far as it knows for what."""
+        """Begin to compile, and to calibrate as far as it is known for what."""
         self._thread.start()
 
     def wait_until_prepared(self) -> bool:
@@ -176,10 +184,12 @@ class StreamWorker:
         end_s = time.monotonic() + timeout_s
         self.queue.close()
         self._beside.close()
+        self._searches.close()
         self._first_prepared.set()
         if self._thread.is_alive():
             self._thread.join(timeout_s)
         return (self._beside.join(max(0.0, end_s - time.monotonic()))
+                and self._searches.join(max(0.0, end_s - time.monotonic()))
                 and not self._thread.is_alive())
 
     def _run(self) -> None:
@@ -201,7 +211,7 @@ class StreamWorker:
         except _StopRequestedError:
             pass
         except Exception:
-            # Nothing restarts this thread, so its end must not go unnoticed.
+            # Nothing restarts these threads, so their end must not go unnoticed.
             logger.exception('the search thread has ended')
             self._set_state('failed', 'the search thread has ended; see the log')
             raise
@@ -279,6 +289,7 @@ class StreamWorker:
         self._counters.restarts += 1
         self._on_warning(intake.outcome.value, f'the window starts again: {intake.reason}')
         self._search(intake.batch)
+        self._searches.wait_until_done()
         # What could not be prepared at the rate of before may be at that of now.
         self._failed_for = None
         if intake.outcome is Outcome.JUMP_BACK:
@@ -301,6 +312,7 @@ class StreamWorker:
 
     def _look(self, batch: FrameBatch, interval_s: float) -> None:
         """Choose by the first frames of a stream, then search them."""
+        self._searches.wait_until_done()
         self._set_state('choosing', f'options by {len(batch)} frames')
         choice = self._chosen(self._request, batch.frames)
         if choice is None:
@@ -345,7 +357,7 @@ class StreamWorker:
         return others
 
     def _search(self, batch: FrameBatch | None) -> None:
-        """Search a batch, if there is one, and hand on what was found."""
+        """Prepare a batch, if there is one, and have it searched after the one before."""
         if batch is None:
             return
         shape = batch.frames.shape[1:]
@@ -358,41 +370,67 @@ class StreamWorker:
         if self._sensors is not None:
             batch = replace(batch, taken=np.array([
                 (self._held[index].sensor, index) for index in batch.frame_indices.tolist()]))
+        self._searches.wait_until_begun()
+        if usable_cores() == 1:
+            self._searches.wait_until_done()
         started = time.monotonic()
         self.status.searching = True
         try:
-            detection = self._pipeline.process(batch, self._progress)
+            with at_most_cores(usable_cores() - self._searches.busy):
+                search = self._pipeline.prepare(batch, self._progress)
         except _StopRequestedError:
             raise
         except Exception as error:
-            self._failed('the search failed', error)
-            self._set_ready()
+            self._searches.wait_until_done()
+            self._search_failed(error)
+            return
+        frames = {index: self._held[index] for index in batch.frame_indices.tolist()}
+        self._searches.do(partial(self._find, batch, frames, self._pipeline, search,
+                                  self._settings.hop, time.monotonic() - started))
+
+    def _find(self, batch: FrameBatch, frames: dict[int, StreamFrame], pipeline: StreamPipeline,
+              search: BatchSearch, hop: int, prepared_s: float) -> None:
+        """Search a batch that was prepared, and hand on what was found."""
+        started = time.monotonic()
+        self.status.searching = True
+        try:
+            detection = search(self._progress)
+        except _StopRequestedError:
+            return
+        except Exception as error:
+            self._search_failed(error)
             return
         finally:
             self.status.searching = False
-        self.status.shape = shape
-        self.status.threshold = detection.threshold
+        self.status.shape = batch.frames.shape[1:]
+        if pipeline is self._pipeline:
+            self.status.threshold = detection.threshold
         if self.status.state != 'ready':
             self._set_ready()
         self._counters.batches += 1
         self._counters.trajectories += len(detection.trajectories)
-        frames = {int(index): self._held[int(index)] for index in batch.frame_indices}
         tags = {index: frame.tag for index, frame in frames.items()}
         try:
             self._on_result(StreamResult(
                 detection, batch, tags,
-                float(np.ptp(batch.stamps)) / max(1, len(batch) - 1), self._settings.hop))
+                float(np.ptp(batch.stamps)) / max(1, len(batch) - 1), hop))
         except Exception as error:
             self._failed('the result could not be handed on', error)
         finished = time.monotonic()
         newest = frames[int(batch.frame_indices[-1])]
-        self.status.processing_s = finished - started
+        self.status.processing_s = prepared_s + finished - started
         self.status.longest_processing_s = max(
-            self.status.longest_processing_s, finished - started)
+            self.status.longest_processing_s, self.status.processing_s)
         self.status.latency_s = finished - newest.arrival_s
+
+    def _search_failed(self, error: Exception) -> None:
+        self.status.searching = False
+        self._failed('the search failed', error)
+        self._set_ready()
 
     def _prepare_or_wait(self, shape: tuple[int, int] | None, interval_s: float | None) -> None:
         """Prepare the search for frames of a size; compile it if that is not known yet."""
+        self._searches.wait_until_done()
         if shape is not None:
             self._prepare(shape, interval_s)
         elif self._warm_up(None, 1.0):
@@ -402,6 +440,7 @@ class StreamWorker:
         """Compile and calibrate for frames of a size; return whether that worked."""
         if self._failed_for == shape:
             return False
+        self._searches.wait_until_done()
         self.status.shape = shape
         self._set_state('preparing', f'for {shape[0]} x {shape[1]} frames')
         # A threshold that the first frames may change is not worth a calibration.
