@@ -1,7 +1,7 @@
 """Between messages and arrays: the one file that knows both.
 
 Positions stay in pixels: in markers, paths and points one metre of ROS stands for one pixel, x to
-the right, y down, z = 0.
+the right, y down, z = 0. Rays are in metres of the optical frame of a camera.
 """
 
 from array import array
@@ -27,6 +27,8 @@ from visualization_msgs.msg import Marker, MarkerArray
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.encodings import decode_image, multiarray_to_frame
 from track_before_detect.recordings.overlay import colour_of
+from track_before_detect.ros.intake.camera import Camera
+from track_before_detect.ros.outputs.bearings import with_bearings
 from track_before_detect.ros.outputs.head import HeadTarget
 from track_before_detect.types import Trajectory
 
@@ -48,6 +50,7 @@ _POINT_FIELD_TYPES = {
 
 LINE_WIDTH_PX = 0.75
 LABEL_HEIGHT_PX = 5.0
+RAY_WIDTH_M = 0.005
 LONGEST_LIFETIME_S = 2.0**31 - 1
 
 
@@ -188,22 +191,25 @@ def path_from_positions(positions: NDArray, stamps_s: Iterable[float], header: H
         for position, second in zip(positions, stamps_s, strict=True)])
 
 
-def points_from_trajectories(trajectories: Iterable[Trajectory], header: Header) -> PointCloud2:
+def points_from_trajectories(trajectories: Iterable[Trajectory], header: Header,
+                             camera: Camera | None = None) -> PointCloud2:
     """Return one point per trajectory and frame it is present in.
 
     Fields: x and y in pixels, z = 0, t in seconds since the epoch of the stamps (float64), id, vx
     and vy in pixels per second, amplitude (the magnitude), snr and statistic (of the whole
-    trajectory), var_x, cov_xy and var_y in pixels squared (NaN where not known).
+    trajectory), var_x, cov_xy and var_y in pixels squared (NaN where not known). With a camera
+    also those of :func:`with_bearings`.
     """
     rows = [
         (*position, 0.0, trajectory.stamps[row], trajectory.id, *trajectory.velocity[row],
          abs(trajectory.amplitudes[row]), trajectory.snr, trajectory.statistic,
          *trajectory.covariance[row][np.triu_indices(2)])
         for trajectory in trajectories for row, position in _present(trajectory)]
-    return _cloud(np.array(rows, POINT_DTYPE), header)
+    return _cloud(with_bearings(np.array(rows, POINT_DTYPE), camera), header)
 
 
-def points_from_head(targets: Iterable[HeadTarget], header: Header) -> PointCloud2:
+def points_from_head(targets: Iterable[HeadTarget], header: Header,
+                     camera: Camera | None = None) -> PointCloud2:
     """Return one point per target at one moment.
 
     Fields are those of :func:`points_from_trajectories` and ``state``, see :class:`State`.
@@ -211,7 +217,7 @@ def points_from_head(targets: Iterable[HeadTarget], header: Header) -> PointClou
     rows = [(*target.position, 0.0, target.stamp_s, target.id, *target.velocity, target.amplitude,
              target.snr, target.statistic, *target.covariance[np.triu_indices(2)], target.state)
             for target in targets]
-    return _cloud(np.array(rows, HEAD_DTYPE), header)
+    return _cloud(with_bearings(np.array(rows, HEAD_DTYPE), camera), header)
 
 
 def _cloud(points: NDArray, header: Header) -> PointCloud2:
@@ -268,9 +274,7 @@ def markers_from_trajectories(
     ended : iterable of int
         Ids of trajectories shown before that are no more.
     """
-    # A duration of ROS holds no more.
-    lifetime_s = min(lifetime_s, LONGEST_LIFETIME_S)
-    lifetime = Duration(sec=int(lifetime_s), nanosec=int(lifetime_s % 1.0 * 1e9))
+    lifetime = _lifetime(lifetime_s)
     markers = []
     for trajectory in trajectories:
         points = [_point(position) for _, position in _present(trajectory)]
@@ -290,10 +294,47 @@ def markers_from_trajectories(
         label.pose.position = _point((points[-1].x, points[-1].y - LABEL_HEIGHT_PX))
         label.pose.orientation.w = 1.0
         markers += [line, label]
-    for identity in ended:
-        markers += [Marker(header=header, ns=ns, id=identity, action=Marker.DELETE)
-                    for ns in ('trajectory', 'label')]
-    return MarkerArray(markers=markers)
+    return MarkerArray(markers=markers + _deleted(ended, header, ('trajectory', 'label')))
+
+
+def rays_from_trajectories(
+        trajectories: Iterable[Trajectory], header: Header, camera: Camera, lifetime_s: float,
+        ended: Iterable[int] = ()) -> MarkerArray:
+    """Return a ray of one metre per trajectory, from the camera to where it was seen last.
+
+    Parameters
+    ----------
+    camera : Camera
+        Whose frame that of the header is.
+    trajectories, header, lifetime_s, ended
+        As of :func:`markers_from_trajectories`.
+    """
+    markers = []
+    for trajectory in trajectories:
+        seen = [position for _, position in _present(trajectory)]
+        [ray] = camera.rays(seen[-1]) if seen else [np.full(3, np.nan)]
+        if not np.isfinite(ray).all():
+            continue
+        marker = Marker(header=header, ns='ray', id=trajectory.id, type=Marker.LINE_STRIP,
+                        action=Marker.ADD, color=_colour(trajectory.id),
+                        lifetime=_lifetime(lifetime_s))
+        marker.points = [Point(), Point(**dict(zip('xyz', ray.tolist(), strict=True)))]
+        marker.scale.x = RAY_WIDTH_M
+        marker.pose.orientation.w = 1.0
+        markers.append(marker)
+    return MarkerArray(markers=markers + _deleted(ended, header, ('ray',)))
+
+
+def _lifetime(seconds: float) -> Duration:
+    # A duration of ROS holds no more.
+    seconds = min(seconds, LONGEST_LIFETIME_S)
+    return Duration(sec=int(seconds), nanosec=int(seconds % 1.0 * 1e9))
+
+
+def _deleted(identities: Iterable[int], header: Header, namespaces: Sequence[str],
+             ) -> list[Marker]:
+    return [Marker(header=header, ns=ns, id=identity, action=Marker.DELETE)
+            for identity in identities for ns in namespaces]
 
 
 def _octets(values: NDArray) -> array:

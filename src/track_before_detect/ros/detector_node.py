@@ -37,12 +37,12 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import _declare_qos_parameters, QoSOverridingOptions
 from rclpy.subscription import Subscription
-from sensor_msgs.msg import CompressedImage, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Float32MultiArray, Header
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
-from track_before_detect.errors import TbdError
+from track_before_detect.errors import ParameterError, TbdError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.recordings.overlay import render_overlay
 from track_before_detect.ros import conversions
@@ -54,6 +54,8 @@ from track_before_detect.ros.diagnostics import (
     Warnings,
 )
 from track_before_detect.ros.frame_queue import StreamRequest
+from track_before_detect.ros.intake.camera import Camera
+from track_before_detect.ros.intake.camera_input import CAMERA_PARAMETERS, CameraInput, UNKNOWN
 from track_before_detect.ros.intake.frame_reader import (
     ARRIVAL,
     COMPRESSED,
@@ -160,6 +162,7 @@ PARAMETERS = [
         'trajectories/head, where each target of the last batch is at every new frame.', 'text',
         choices=(BATCH, HEAD)),
     *SENSORS,
+    *CAMERA_PARAMETERS,
     *SCALE_PARAMETERS,
     AUTOSTART,
 ]
@@ -197,6 +200,11 @@ class DetectorNode(ManagedNode):
         self._worker = self._make_worker()
         self._create_outputs()
         self._sources = self._frame_sources()
+        self._camera: CameraInput | None = None
+        if self.values()['camera_info']:
+            self._camera = CameraInput(self.values()['camera_info'],
+                                       self.values()['camera_rectified'], self._warn)
+            self._rays = self._create_output(MarkerArray, 'trajectories/rays')
         self._declare_inputs()
         self.finish_parameters()
         self._field_outputs = FieldOutputs(self._create_output, self.values())
@@ -276,6 +284,9 @@ class DetectorNode(ManagedNode):
             flush_after_s=values['flush_after_s'] or None, several=bool(self._sensors))
         self._make_pipeline(request.unseen.options, None)
         RadarScale.of(values)
+        if values['camera_info'] and self._sensors:
+            raise ParameterError('camera_info tells of one sensor, got '
+                                 f'{values["camera_info"]!r} beside {len(self._sensors)} sensors')
         # Kept, so that the files that options name are not read again for what comes next.
         self._request = request
 
@@ -343,6 +354,10 @@ class DetectorNode(ManagedNode):
                 kind, topic, partial(self._take, read, sensor), self._input_qos(),
                 event_callbacks=self._event_callbacks(topic),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies()))
+        if self._camera is not None:
+            self._inputs.append(self.create_subscription(
+                CameraInfo, self.values()['camera_info'], self._camera.take,
+                QoSProfile(depth=1, reliability=QoSReliabilityPolicy.BEST_EFFORT)))
 
     def _create_output(self, kind: type, topic: str) -> Publisher:
         return self.create_lifecycle_publisher(
@@ -382,6 +397,7 @@ class DetectorNode(ManagedNode):
         # Diagnostics must go on when a simulated clock stands still.
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._look_around,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
+
 
     def _event_callbacks(self, topic: str) -> SubscriptionEventCallbacks:
         def incompatible(event: QoSRequestedIncompatibleQoSInfo) -> None:
@@ -425,7 +441,8 @@ class DetectorNode(ManagedNode):
             self._warn('message', f'message refused: {error}')
             return
         if not sensor:
-            self._frame_id = frame.header.frame_id
+            self._frame_id = frame.header.frame_id or (
+                self._camera.frame_id if self._camera is not None else '')
         # What several sensors see is told in the coordinates of the first.
         frame.header.frame_id = self._frame_id
         if queue.put(frame.pixels, frame.stamp_s, frame.header, sensor):
@@ -438,7 +455,8 @@ class DetectorNode(ManagedNode):
             head, publisher = self._head
             targets = head.at(frame.stamp_s)
             if targets is not None:
-                self._send(publisher, conversions.points_from_head(targets, frame.header))
+                self._send(publisher, conversions.points_from_head(
+                    targets, frame.header, self._camera_of(frame.pixels, frame.header)))
 
     def _flush(self, _request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
         response.success = self._active
@@ -469,11 +487,12 @@ class DetectorNode(ManagedNode):
         if detection.status != 'converged':
             self._warn(f'status {detection.status}', '; '.join(
                 [STATUSES[detection.status], *detection.remarks]))
-        self._send(self._markers, conversions.markers_from_trajectories(
-            trajectories, header, lifetime_s, sorted(ended)))
+        camera = self._camera_of(result.batch.frames[-1], header)
+        self._send_markers(trajectories, header, lifetime_s, sorted(ended), camera)
         for path in conversions.paths_from_trajectories(trajectories, header, stamps):
             self._send(self._paths, path)
-        self._send(self._points, conversions.points_from_trajectories(trajectories, header))
+        self._send(self._points, conversions.points_from_trajectories(
+            trajectories, header, camera))
         if self.context.ok() and self._overlay.get_subscription_count():
             pixels = render_overlay(*self._newest_frame(result))
             self._send(self._overlay, conversions.image_from_colours(pixels, header))
@@ -481,6 +500,21 @@ class DetectorNode(ManagedNode):
             for output, message in self._field_outputs.messages(
                     result, self._worker.status.options):
                 self._send(output, message)
+
+    def _send_markers(self, trajectories: Sequence[Trajectory], header: Header,
+                      lifetime_s: float, ended: Sequence[int],
+                      camera: Camera | None = None) -> None:
+        self._send(self._markers, conversions.markers_from_trajectories(
+            trajectories, header, lifetime_s, ended))
+        if self._camera is not None:
+            self._send(self._rays, conversions.rays_from_trajectories(
+                trajectories, header, camera or UNKNOWN, lifetime_s, ended))
+
+    def _camera_of(self, pixels: NDArray, header: Header) -> Camera | None:
+        """Return what is known of the camera that took a frame, None where that is not asked."""
+        if self._camera is None:
+            return None
+        return self._camera.camera(pixels.shape, header.frame_id)
 
     def _newest_frame(self, result: StreamResult) -> tuple[NDArray, Sequence[Trajectory]]:
         """Return the newest frame of a batch, and the trajectories in its pixels."""
@@ -506,8 +540,7 @@ class DetectorNode(ManagedNode):
             ended, self._shown = sorted(self._shown), set()
             header = self._last_header
         if ended:
-            self._send(self._markers,
-                       conversions.markers_from_trajectories([], header, 0.0, ended))
+            self._send_markers([], header, 0.0, ended)
 
     def _state_changed(self) -> None:
         status = self._worker.status
