@@ -50,7 +50,9 @@ def doing(ros_domain, tmp_path_factory):
     # Named unlike any process: one that was killed is still known for a while.
     nodes = {name: kind(f'allowed_{name}', context=context, parameter_overrides=[
         Parameter(parameter, value=value) for parameter, value in values.items()])
-        for name, kind, values in (('detector', DetectorNode, {'autostart': False}),
+        for name, kind, values in (('detector', DetectorNode, {
+                                       'autostart': False, 'publish': 'head',
+                                       'camera_info': 'camera_info'}),
                                    ('frame_publisher', FramePublisherNode, {'clock_hz': 1.0}),
                                    ('recorder', RecorderNode, {'output': output}))}
     detector = nodes['detector']
