@@ -2,6 +2,9 @@
 
 ``python test/soak.py --minutes 20 --size 128 128 --rate 30 --faults restarts malformed jumps``
 
+``--minutes 2 --rate 10 --faults malformed --malformed 9`` sends more than 10,000 messages that
+cannot be frames among 1,200 that are.
+
 Not collected by pytest. Ends with 1 when a limit is not kept: frames that were delivered and not
 searched, memory that grows, results that come later than the next batch begins, or a target that
 is not followed.
@@ -27,6 +30,7 @@ from rclpy.signals import SignalHandlerOptions
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header
 
+from malformed import malformed
 from track_before_detect.ros import conversions
 from track_before_detect.ros.demo.child_process import ChildProcess
 from track_before_detect.ros.domain import free_domain_id
@@ -69,9 +73,10 @@ def publish(arguments):
         if 'jumps' in arguments.faults and time.monotonic() - jumped_s > FAULT_PERIOD_S:
             # Back and forth by more than a batch.
             jumped_s, offset_s = time.monotonic(), 0.0 if offset_s else -1000.0
-        if 'malformed' in arguments.faults and rng.random() < 0.2:
-            publisher.publish(malformed(rng))
-            n_sent['malformed'] += 1
+        if 'malformed' in arguments.faults:
+            for _ in range(rng.poisson(arguments.malformed)):
+                publisher.publish(malformed(rng, shape))
+                n_sent['malformed'] += 1
         x, y = truth(now_s, shape)
         frame = np.roll(pool[rng.integers(len(pool))], rng.integers(height * width))
         frame = frame + 6.0 * np.exp(
@@ -83,14 +88,6 @@ def publish(arguments):
         if time.monotonic() - said_s > 1.0:
             said_s = time.monotonic()
             print(n_sent['good'], n_sent['malformed'], flush=True)
-
-
-def malformed(rng):
-    """Return an image that is wrong in one way or another."""
-    return Image(
-        height=int(rng.integers(0, 200)), width=int(rng.integers(0, 200)),
-        encoding=str(rng.choice(['32FC1', 'mono8', 'nv12', '', '64FC3', 'x' * 50])),
-        step=int(rng.integers(0, 2000)), data=rng.bytes(int(rng.integers(0, 1000))))
 
 
 class Soak:
@@ -256,6 +253,8 @@ def main():
                         metavar=('HEIGHT', 'WIDTH'))
     parser.add_argument('--rate', type=float, default=30.0, help='frames per second')
     parser.add_argument('--faults', nargs='*', choices=FAULTS, default=[])
+    parser.add_argument('--malformed', type=float, default=0.2, metavar='N',
+                        help='malformed messages for each good frame, with that fault')
     parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('--publish', action='store_true', help=argparse.SUPPRESS)
     arguments = parser.parse_args()

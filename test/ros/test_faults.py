@@ -2,6 +2,7 @@
 
 import signal
 
+import numpy as np
 import pytest
 
 pytest.importorskip('rclpy')
@@ -15,8 +16,9 @@ from rclpy.qos import (  # noqa: E402
     QoSReliabilityPolicy,
 )
 from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
-from std_msgs.msg import Header  # noqa: E402
+from std_msgs.msg import Float32MultiArray, Header  # noqa: E402
 
+from malformed import wild  # noqa: E402
 from track_before_detect.ros import conversions  # noqa: E402
 
 RATE_HZ = 25.0
@@ -125,3 +127,28 @@ def test_a_hundred_changes_a_second_cost_no_frame_and_few_lines(launch, station,
     station.wait_for_diagnostics(state='ready', threshold='14.0000')
     assert is_found(send(station, publisher, frames[:20], 200.0)[-1])
     assert 'Traceback' not in detector.output
+
+
+def test_messages_that_are_anything_among_good_ones_leave_it_right_within_a_batch(
+        launch, station, frames):
+    station.listen(PointCloud2, 'trajectories/points')
+    station.listen(DiagnosticArray, '/diagnostics')
+    detector = launch('detector', *ARGUMENTS)
+    detector.wait_for_line(ACTIVE)
+    publishers = {kind: station.publisher(kind, topic, RELIABLE) for kind, topic in (
+        (Image, 'image'), (Float32MultiArray, 'frame'))}
+    rng = np.random.default_rng(11)
+    for burst in range(2):
+        for _ in range(50):
+            for message in (wild(rng, (32, 40)) for _ in range(5)):
+                publishers[type(message)].publish(message)
+            # No more than the queue of a subscription holds.
+            station.spin_for(0.01)
+        clouds = send(station, publishers[Image], frames[20 * burst:20 * burst + 20],
+                      1000.0 * (burst + 1))
+        assert is_found(clouds[-1])
+    found = station.wait_for_diagnostics(frames_waiting=0, failures=0)
+    assert int(found['frames_refused']) > 300
+    assert sum(int(found[f'frames_{what}']) for what in ('used', 'refused', 'dropped')) == int(
+        found['frames_received'])
+    assert detector.process.poll() is None and 'Traceback' not in detector.output
