@@ -17,7 +17,7 @@ DESCRIPTION = (
     'NUMBA_CACHE_DIR, until the\nsources, numba or numpy change.')
 EXAMPLES = """\
 examples:
-  what tbd detect and the node need without options:
+  what tbd detect and the node need without options, of frames that are not complex:
     tbd warm-up
   every detector, amplitude, presence and sensor:
     tbd warm-up everything
