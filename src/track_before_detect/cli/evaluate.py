@@ -16,8 +16,8 @@ from track_before_detect.cli.console import (
 
 HELP = 'repeat a study over many recordings'
 DESCRIPTION = (
-    'Repeat a study over many recordings, simulated ones but for the suite real, '
-    'print its table and write to DIR:\n'
+    'Repeat a study over many recordings, simulated ones but for the suites real '
+    'and real-alarms, print its table and write to DIR:\n'
     '  report.md     the table with 95 % intervals, and the command that made it\n'
     '  SUITE.csv     one row per run\n'
     '  SUITE.png     the picture of the report\n'
@@ -39,9 +39,10 @@ def add_arguments(parser: Any) -> None:
     """Add the arguments of the command."""
     parser.add_argument('suite', metavar='SUITE', help='name of the study; see --list')
     parser.add_argument('--runs', metavar='N', type=int,
-                        help='how often it is repeated (default: 100; of real: 1)')
+                        help='how often it is repeated (default: 100; of real 1, of '
+                        'real-alarms 2)')
     parser.add_argument('--data', metavar='FOLDER',
-                        help='recordings with truth, for the suite real')
+                        help='recordings with truth, for the suites real and real-alarms')
     parser.add_argument('--seed', metavar='S', type=int, default=0,
                         help='the same seed gives the same recordings (default: 0)')
     add_output_argument(parser, folder='evaluation')

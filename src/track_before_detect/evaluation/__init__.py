@@ -15,7 +15,8 @@ distribution of its own. These are the doors of the rest that it goes through:
   ``simulation.sensor``;
 - detectors: ``tracking.pipeline``, ``tracking.presets``, ``solvers.batch_detector``,
   ``solvers.calibration.false_paths``, ``solvers.calibration.noise_study``,
-  ``solvers.calibration.threshold``;
+  ``solvers.calibration.threshold``, ``solvers.clutter.detector``, ``solvers.clutter.reasons``,
+  ``option_models``;
 - the methods of the papers, whose parts are measured: ``models.motion.transition_sets``,
   ``models.motion.velocity_candidates``, ``solvers.cancellation.mt_dp``,
   ``solvers.cancellation.pc_dp``, ``solvers.cancellation.target_cancellation``,

@@ -102,6 +102,17 @@ def make_detector(options: DetectorOptions) -> BatchDetector:
     return detector if options.tile_px is None else TiledDetector(options, detector)
 
 
+def detector_for(options: DetectorOptions) -> BatchDetector:
+    """Return the detector that searches beside each background, at its share of the rate."""
+    return make_detector(options.replace(
+        false_alarm_rate=options.false_alarm_rate / len(_backgrounds(options))))
+
+
+def _backgrounds(options: DetectorOptions) -> tuple[str, ...]:
+    """Return the backgrounds beside each of which frames are searched."""
+    return BACKGROUNDS.get(options.background, (options.background,))
+
+
 def period_of(options: DetectorOptions, width: int) -> int | None:
     """Return the columns after which frames of a width begin again, None where they end."""
     wraps = options.motion_model == 'range_bearing' or options.doppler_ambiguities > 0
@@ -129,10 +140,8 @@ class TrackingPipeline:
                  detector: BatchDetector | None = None, observe: Observer | None = None):
         self._options = options
         self._observe = observe
-        # The same search for each background, at its share of the rate.
-        self._backgrounds = BACKGROUNDS.get(options.background, (options.background,))
-        self._detector = detector or make_detector(options.replace(
-            false_alarm_rate=options.false_alarm_rate / len(self._backgrounds)))
+        self._backgrounds = _backgrounds(options)
+        self._detector = detector or detector_for(options)
         self._stitcher: Stitcher = (
             earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
         self._before: list[Trajectory] = []

@@ -12,6 +12,7 @@ from track_before_detect.evaluation.studies.false_paths import suite as false_pa
 from track_before_detect.evaluation.studies.parallel import suite as parallel
 from track_before_detect.evaluation.studies.patent import suite as patent
 from track_before_detect.evaluation.studies.range_doppler import suite as range_doppler
+from track_before_detect.evaluation.studies.real import alarms as real_alarms
 from track_before_detect.evaluation.studies.real import suite as real
 from track_before_detect.evaluation.studies.ring import multi as ring_multi
 from track_before_detect.evaluation.studies.ring import single as ring_single
@@ -30,6 +31,7 @@ SUITES: dict[str, Suite] = {
     'parallel': parallel.SUITE,
     'range-doppler': range_doppler.SUITE,
     'real': real.SUITE,
+    'real-alarms': real_alarms.SUITE,
 }
 
 

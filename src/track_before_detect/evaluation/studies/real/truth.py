@@ -31,13 +31,17 @@ class Other:
     waypoints: tuple[tuple[float, float, float], ...]
     half_size_px: tuple[float, float]
 
+    def places(self, n_frames: int) -> NDArray[np.float64]:
+        """Return where it is in the frames of a recording, shape (T, 2); NaN where it is not."""
+        frames, x, y = np.array(self.waypoints, float).T
+        index = np.arange(n_frames)
+        return np.column_stack([np.interp(index, frames, along, np.nan, np.nan)
+                                for along in (x, y)])
+
     def holds(self, positions: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return in which frames positions (..., T, 2), NaN where absent, are at this thing."""
-        frames, x, y = np.array(self.waypoints, float).T
-        index = np.arange(positions.shape[-2])
-        place = np.column_stack([np.interp(index, frames, x), np.interp(index, frames, y)])
-        there = (index >= frames[0]) & (index <= frames[-1])
-        return there & (np.abs(positions - place) <= self.half_size_px).all(axis=-1)
+        apart = np.abs(positions - self.places(positions.shape[-2]))
+        return np.asarray(np.all(apart <= self.half_size_px, axis=-1))
 
 
 @dataclass(frozen=True)
