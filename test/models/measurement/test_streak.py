@@ -21,6 +21,8 @@ from track_before_detect.simulation.sensor import add_streak
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.path_search import path_search
 from track_before_detect.solvers.search.viterbi_table import RowThreads, ViterbiTable
+from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.types import FrameBatch
 
 T, SHAPE = 6, (32, 64)
 STAMPS = np.arange(float(T))
@@ -189,11 +191,13 @@ def test_masked_streak_is_recovered():
 
 def test_estimates_of_a_streak_are_unbiased():
     generator = np.random.default_rng(5)
+    pipeline = TrackingPipeline(DetectorOptions(threshold=9.0, exposure_s=EXPOSURE, **OPTIONS))
     errors, speeds, amplitudes = [], [], []
     for _ in range(15):
         path = generator.uniform((10, 10), (14, 14)) + VELOCITY * STAMPS[:, None]
         frames = scene(9.0, path, VELOCITY) + generator.standard_normal((T, *SHAPE))
-        [found] = tbd.detect(frames, threshold=9.0, exposure_s=EXPOSURE, **OPTIONS).trajectories
+        pipeline.reset()
+        [found] = pipeline.process(FrameBatch.of(frames, STAMPS)).trajectories
         errors.append((found.positions - path).mean(axis=0))
         speeds.append(found.velocity.mean(axis=0) - VELOCITY)
         amplitudes.append(found.amplitudes.mean() / 9)
