@@ -11,6 +11,8 @@ from pathlib import Path
 from hypothesis import settings
 import pytest
 
+from track_before_detect.kernels.compiled_cache import cache_folder
+
 HERE = Path(__file__).parent
 
 # How long an example takes depends on what the other process does.
@@ -22,6 +24,8 @@ settings.load_profile('shared')
 def calibrate_on(monkeypatch, tmp_path):
     """Return what makes a test calibrate anew, on at most so many crops of noise."""
     def most(n_crops):
+        # Loops stay where they were compiled.
+        cache_folder()
         monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
         monkeypatch.setattr(
             'track_before_detect.solvers.calibration.threshold.MOST_CROPS', n_crops)

@@ -3,11 +3,14 @@
 import pytest
 
 from track_before_detect.cli import main
+from track_before_detect.kernels.compiled_cache import cache_folder
 from track_before_detect.solvers.calibration import threshold
 
 
 @pytest.fixture(autouse=True)
 def few_crops(tmp_path, monkeypatch):
+    # Loops stay where they were compiled.
+    cache_folder()
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     for name in ('LEAST_CROPS', 'MOST_CROPS'):
         monkeypatch.setattr(threshold, name, 20)
