@@ -13,6 +13,7 @@ import warnings
 import numpy as np
 import pytest
 
+from nodes.copies import can_be_copied, Copy, EXECUTABLES
 import track_before_detect
 
 TIMEOUT_S = 60.0
@@ -38,14 +39,16 @@ class NodeProcess:
     """A node in a process of its own, and what it prints."""
 
     def __init__(self, name, *ros_args):
-        command = [sys.executable, '-m', f'track_before_detect.ros.executables.{name}']
-        if ros_args:
-            command += ['--ros-args', *ros_args]
-        source = str(Path(track_before_detect.__file__).parents[1])
-        path = os.pathsep.join(filter(None, [source, os.environ.get('PYTHONPATH')]))
-        self.process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-            env={**os.environ, 'PYTHONPATH': path, 'PYTHONUNBUFFERED': '1'})
+        arguments = ['--ros-args', *ros_args] if ros_args else []
+        if can_be_copied():
+            self.process = Copy(name, arguments)
+        else:
+            source = str(Path(track_before_detect.__file__).parents[1])
+            path = os.pathsep.join(filter(None, [source, os.environ.get('PYTHONPATH')]))
+            self.process = subprocess.Popen(
+                [sys.executable, '-m', f'{EXECUTABLES}.{name}', *arguments],
+                stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+                env={**os.environ, 'PYTHONPATH': path, 'PYTHONUNBUFFERED': '1'})
         self._lines = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -152,9 +155,14 @@ class Station:
             self._executor.spin_once(timeout_sec=min(0.05, seconds))
 
     def publisher(self, kind, topic, qos):
-        """Return a publisher that somebody listens to."""
+        """Return a publisher that somebody listens to, when all that is listened to is there.
+
+        What answers the first message could be missed otherwise.
+        """
         publisher = self.node.create_publisher(kind, topic, qos)
         self.wait_until(publisher.get_subscription_count, f'a subscriber of {topic}')
+        self.wait_until(lambda: all(map(self.node.count_publishers, self.received)),
+                        f'publishers of {list(self.received)}')
         return publisher
 
     def diagnostics(self, name='detector'):
@@ -193,17 +201,19 @@ class Station:
         return client
 
     def _meet(self, node):
-        """Ask a node until it answers: what it says before it has discovered this one is lost."""
-        client = self._client(GetParameterTypes, f'{node}/get_parameter_types')
+        service = f'{node}/get_parameter_types'
+        self.meet(self._client(GetParameterTypes, service), GetParameterTypes.Request())
+
+    def meet(self, client, request):
+        """Ask until there is an answer: what a node says before it has discovered us is lost."""
         asked = []
 
         def is_answered():
             if not asked or time.monotonic() - asked[-1][0] > ASK_AGAIN_S:
-                asked.append((time.monotonic(),
-                              client.call_async(GetParameterTypes.Request())))
+                asked.append((time.monotonic(), client.call_async(request)))
             return any(future.done() for _, future in asked)
 
-        self.wait_until(is_answered, f'any answer of {node}')
+        self.wait_until(is_answered, f'any answer of {client.srv_name}')
 
     def close(self):
         self._executor.shutdown()

@@ -25,7 +25,8 @@ RATE_HZ = 25.0
 RELIABLE = QoSProfile(depth=100, reliability=QoSReliabilityPolicy.RELIABLE)
 ARGUMENTS = [part for setting in (
     'threshold:=12.0', 'batch_length:=10', 'hop:=5', 'max_speed_px_s:=25.0', 'queue_length:=100',
-    'reliable:=true', 'frame_height:=32', 'frame_width:=40', 'frame_rate_hz:=25.0',
+    'qos_overrides./image.subscription.depth:=100', 'reliable:=true', 'frame_height:=32',
+    'frame_width:=40', 'frame_rate_hz:=25.0',
 ) for part in ('-p', setting)]
 ACTIVE = 'active: frames are searched'
 
@@ -100,6 +101,7 @@ def test_a_hundred_changes_a_second_cost_no_frame_and_few_lines(launch, station,
     client = station.node.create_client(SetParameters, 'detector/set_parameters',
                                         qos_profile=qos_profile_parameters)
     station.wait_until(client.service_is_ready, 'the service')
+    station.meet(client, SetParameters.Request())
     answers = []
 
     def change():

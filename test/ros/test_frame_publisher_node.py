@@ -109,7 +109,9 @@ def test_a_single_frame_is_looped_at_the_rate_that_is_asked_for(launch, station,
 
 
 def test_it_waits_for_a_subscriber_before_the_first_frame(launch, station):
-    publisher = launch('frame_publisher', '-p', 'rate_hz:=200.0')
+    # None is lost while a busy machine does not listen.
+    publisher = launch('frame_publisher', '-p', 'rate_hz:=200.0', '-p',
+                       'qos_overrides./image.publisher.depth:=100')
     publisher.wait_for_line('waiting for a subscriber of /image')
     messages = station.listen(Image, 'image', RELIABLE)
     station.wait_until(lambda: len(messages) == 40, 'all frames')
@@ -159,8 +161,9 @@ def test_both_nodes_together_use_every_frame_and_find_the_target(
     station.listen(DiagnosticArray, '/diagnostics')
     detector = launch(
         'detector', '-p', 'threshold:=12.0', '-p', 'frame_height:=32', '-p', 'frame_width:=40',
-        '-p', 'frame_rate_hz:=25.0')
-    detector.wait_for_line(r'ready: .*threshold')
+        '-p', 'frame_rate_hz:=25.0', '-p', 'qos_overrides./image.subscription.depth:=100')
+    # Its loops may have to be compiled first.
+    detector.wait_for_line(r'ready: .*threshold', timeout_s=240.0)
     # A node that is ready at once may publish before it knows who listens.
     station.wait_for_diagnostics(state='ready')
     publisher = launch(

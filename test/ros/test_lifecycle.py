@@ -28,7 +28,9 @@ RATE_HZ = 25.0
 OPTIONS = {'threshold': 12.0, 'batch_length': 10, 'hop': 5, 'max_speed_px_s': 25.0,
            'queue_length': 100, 'reliable': True, 'frame_height': 32, 'frame_width': 40,
            'frame_rate_hz': RATE_HZ}
-ARGUMENTS = [part for name, value in OPTIONS.items() for part in ('-p', f'{name}:={value}')]
+DEEP = {'qos_overrides./image.subscription.depth': 100}
+ARGUMENTS = [part for name, value in {**OPTIONS, **DEEP}.items()
+             for part in ('-p', f'{name}:={value}')]
 
 
 def change_state(station, transition):

@@ -34,6 +34,8 @@ def start(launch, station, *arguments):
     station.listen(DiagnosticArray, '/diagnostics')
     station.listen(PointCloud2, 'trajectories/points')
     detector = launch('detector', *OPTIONS, *arguments)
+    # Its loops may have to be compiled first.
+    detector.wait_for_line('waiting for frames', 240.0)
     station.wait_for_diagnostics(state='waiting for frames')
     return detector
 
@@ -59,7 +61,8 @@ def change(station, **values):
 
 def test_odd_stamps_layouts_floods_and_neighbours_are_named_and_the_search_goes_on(
         launch, station, moving_target):
-    detector = start(launch, station, '-p', 'reliable:=true')
+    detector = start(launch, station, '-p', 'reliable:=true', '-p',
+                     'qos_overrides./image.subscription.depth:=100')
     image = station.publisher(Image, 'image', RELIABLE)
     frames, _ = moving_target(10)
 
@@ -88,8 +91,7 @@ def test_odd_stamps_layouts_floods_and_neighbours_are_named_and_the_search_goes_
     assert [result.reason for result in results] == [''] * 5
     detector.wait_for_line('changed: psf_sigma_px, threshold, batch_length, hop;')
     n_lines = detector.output.count('\n')
-    client = station.node.create_client(SetParameters, 'detector/set_parameters')
-    station.wait_until(client.service_is_ready, 'the service')
+    client = station.clients['detector/set_parameters']
 
     def flood(values):
         # A client holds no more than ten answers.

@@ -58,6 +58,8 @@ def detector(launch, station):
                 (f'sensors.{name}.{key}' for key in (
                     'height', 'width', 'psf_sigma_px', 'noise_sigma')),
                 (*SHAPES[number], SIGMAS[number], NOISES[number]), strict=True))
+            topic = f'{name}/{message if number else "image"}'
+            told[f'qos_overrides./{topic}.subscription.depth'] = 100
         given = [item for name, value in told.items() for item in ('-p', f'{name}:={value}')]
         process = launch('detector', *given, *arguments)
         # Its loops may have to be compiled first.
