@@ -71,6 +71,31 @@ def test_paths_are_those_of_a_search_of_all_states(monkeypatch, seed, give_up):
                 np.testing.assert_equal(found._asdict(), known._asdict())
 
 
+@pytest.mark.parametrize('rise', [-4.0, 0.02, 3.0])
+@pytest.mark.parametrize('seed', range(6))
+def test_few_changed_scores_give_what_a_search_from_the_start_gives(monkeypatch, seed, rise):
+    monkeypatch.setattr(coarse_to_fine, 'COST_OF_UPDATE', 1e-3)
+    generator = np.random.default_rng(seed)
+    graph, shape = random_graph(generator, 7), tuple(generator.integers(20, 80, 2))
+    scores = random_scores(generator, 7, shape)
+    table = CoarseToFine(graph, shape)
+    rows = None
+    for _ in range(5):
+        whole = ViterbiTable(graph, shape)
+        largest = whole.fill(scores)
+        level = float(np.quantile(whole.best, generator.choice([0.95, 1.0]))) + 0.1
+        assert table.update(scores, level, rows) == largest
+        for found, known in zip(*(one.best_paths(level, 2, 9) for one in (table, whole)),
+                                strict=True):
+            np.testing.assert_equal(found._asdict(), known._asdict())
+        rows = np.zeros(scores.shape[:2], bool)
+        scores = scores.copy()
+        y, x = generator.integers(0, shape[0] - 9), generator.integers(0, shape[1] - 9)
+        if generator.random() < 0.8:
+            scores[:, y:y + 9, x:x + 9] += rise
+            rows[:, y:y + 9] = True
+
+
 def test_cells_of_fast_targets_take_less_than_half_of_the_memory():
     graph = build_state_graph(np.arange(20.0), step_px=0.5, max_speed=5.0, max_acceleration=0.167,
                               turn_cost=3.0)

@@ -292,7 +292,7 @@ def mark_positions(marks, rest, alive, layout, of_positions):
             blocks = _U(0)
             b, end = run_of_blocks(alive[y, v], 0, BLOCKS)
             while b < BLOCKS:
-                for x in range(b * layout.block, 
+                for x in range(b * layout.block,
                                min(end * layout.block, (of_positions.n_x + 1) // 2)):
                     if rest[(y * layout.n_v + v) * layout.lanes + x] > np.float32(0.5) * ABSENT:
                         blocks |= _U(1) << _U(2 * x // of_positions.block)

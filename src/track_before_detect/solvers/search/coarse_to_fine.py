@@ -5,6 +5,7 @@ all paths (module ``kernels.search.cells``). Only the states that may be on a pa
 that is asked for are computed among positions: few of many where targets may be fast.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 import math
 
@@ -92,8 +93,8 @@ class CellTable:
             viterbi.BLOCKS - -(-layout.lanes // layout.block)))
         self.best = np.empty((layout.n_y, layout.n_x), np.float32)
 
-    def fill(self, scores: NDArray, per_frame: float) -> float:
-        """Compute all bounds for scores (T, Y, X) of positions; return the largest."""
+    def fill(self, scores: NDArray, per_frame: float) -> None:
+        """Compute all bounds for scores (T, Y, X) of positions."""
         self._over_rows(cells.pool_scores, self._pooled, np.ascontiguousarray(scores),
                         np.float32(per_frame), self._layout)
         for j, segment in enumerate(self._segments):
@@ -103,10 +104,8 @@ class CellTable:
             self._over_rows(
                 cells.extend_cells, self._table if self._last else NO_STATES,
                 self.best if j == self._last else NO_ENDS, self._table if j else NO_STATES,
-                self._pooled,
-                arriving, self._layout, segment.arrival, self._odd[max(j - 1, 0)],
+                self._pooled, arriving, self._layout, segment.arrival, self._odd[max(j - 1, 0)],
                 self._places[j - 1] if j else segment.places, self._all, self._all[:, 0].copy())
-        return float(self.best.max())
 
     def mark(self, level: float, of_positions: viterbi.Layout,
              most: float) -> NDArray[np.uint64] | None:
@@ -115,26 +114,33 @@ class CellTable:
         In blocks of positions, laid out as ``of_positions`` says; None where there are more blocks
         than ``most``.
         """
-        layout, bound = self._layout, np.float32(level)
         marks = np.zeros((self._last + 1, of_positions.n_y, of_positions.n_v), np.uint64)
-        n_marked = cells.mark_ends(marks[-1], self.best, bound, of_positions)
-        if n_marked > most:
-            return None
-        if self._last:
-            rest, before = self._rests
-            alive = np.zeros_like(self._all)
-            cells.begin_rest(rest, alive, self.best, self._table, self._places[-1], bound, layout)
+        n_marked = cells.mark_ends(marks[-1], self.best, np.float32(level), of_positions)
+        if n_marked <= most and self._last:
+            for number, (rest, alive) in enumerate(self._alive(level)):
+                if number:
+                    n_marked += cells.mark_positions(marks[-1 - number], rest, alive,
+                                                     self._layout, of_positions)
+                if n_marked > most:
+                    break
+        return marks if n_marked <= most else None
+
+    def _alive(self, level: float) -> Iterator[tuple[NDArray, NDArray[np.uint64]]]:
+        """Yield what follows the states on paths of such a weight, and where they are.
+
+        For the last segment first.
+        """
+        layout, bound = self._layout, np.float32(level)
+        (rest, before), alive = self._rests, np.zeros_like(self._all)
+        cells.begin_rest(rest, alive, self.best, self._table, self._places[-1], bound, layout)
+        yield rest, alive
         for j in range(self._last - 1, -1, -1):
-            alive_before = np.zeros_like(alive)
-            segment = self._segments[j + 1]
+            alive_before, segment = np.zeros_like(alive), self._segments[j + 1]
             cells.rest_before(before, alive_before, rest, alive, self._table, self._pooled,
                               segment, layout, segment.arrival, self._odd[j], self._places[j],
                               bound)
             rest, before, alive = before, rest, alive_before
-            n_marked += cells.mark_positions(marks[j], rest, alive, layout, of_positions)
-            if n_marked > most:
-                return None
-        return marks
+            yield rest, alive
 
 
 class MarkedTable(ViterbiTable):
@@ -146,7 +152,7 @@ class MarkedTable(ViterbiTable):
         return self._layout
 
     def store(self, scores: NDArray, per_frame: float) -> float:
-        """Keep scores (T, Y, X), less what a frame costs; return how wrong a sum of them may be."""
+        """Keep scores (T, Y, X), less what a frame costs; return the rounding of a sum."""
         if not len(self._scores):
             self._take_memory_of_scores()
         self._store(scores, per_frame)
@@ -192,7 +198,10 @@ class CoarseToFine:
         # Whether too many states are marked in these frames for cells to be of use.
         self._gave_up = False
         self._scores, self._per_frame = np.empty((0, 0, 0), np.float32), 0.0
-        self._rounding, self._level = 0.0, math.inf
+        # By how much sums along a path may be rounded, None before the first.
+        self._margin: float | None = None
+        # All paths that weigh more are known, and the largest weight.
+        self._level = self._largest = math.inf
 
     def fill(self, scores: NDArray, per_frame: float = 0.0) -> float:
         """Return the largest weight for scores of shape (T, Y, X)."""
@@ -204,13 +213,18 @@ class CoarseToFine:
         self._scores, self._per_frame = scores, per_frame
         if self._gave_up:
             return self._whole().update(scores, level, rows, per_frame)
-        if self._cells is None:
-            self._cells = CellTable(*self._of_table)
-        bound = self._cells.fill(scores, per_frame)
-        self._rounding = self._marked.store(scores, per_frame)
+        if self._margin is not None and rows is not None and not rows.any():
+            if level >= self._level:
+                return self._largest
+        else:
+            if self._cells is None:
+                self._cells = CellTable(*self._of_table)
+            self._cells.fill(scores, per_frame)
+            self._margin = self._marked.store(scores, per_frame)
+        assert self._cells is not None and self._margin is not None
         # Where nothing passes, the largest weight of all is likely to be found a little below.
         usual = float(np.median(self._cells.best))
-        level = min(level, bound)
+        level = min(level, float(self._cells.best.max()) + self._margin)
         level -= _BELOW * (level - usual)
         known = float(ABSENT)
         for attempt in range(_MOST_LEVELS):
@@ -223,11 +237,12 @@ class CoarseToFine:
             level = known if last else max(known, 0.5 * (level + usual))
         if largest is None or largest < level:
             return self._give_up(level)
+        self._largest = largest
         return largest
 
     def forget(self) -> None:
         """Search the next frames from the start."""
-        self._gave_up = False
+        self._gave_up, self._margin = False, None
         if self._table is not None:
             self._table.forget()
         if not self._both_fit:
@@ -245,8 +260,8 @@ class CoarseToFine:
 
         None where that would take longer than to compute all states.
         """
-        assert self._cells is not None
-        marks = self._cells.mark(level - self._rounding, self._marked.layout, self._most_marked)
+        assert self._cells is not None and self._margin is not None
+        marks = self._cells.mark(level - self._margin, self._marked.layout, self._most_marked)
         if marks is None:
             return None
         self._level = level

@@ -13,7 +13,7 @@ _NOWHERE = np.empty((0, 0), np.int64)
 
 
 def layout_of(graph: StateGraph, grid_shape: tuple[int, int], spare: int = 0) -> viterbi.Layout:
-    """Return where the positions of a grid (Y, X) lie, ``spare`` more beside them than moves ask."""
+    """Return where the positions of a grid (Y, X) lie, ``spare`` more than needed between rows."""
     n_y, n_x = grid_shape
     pad = int(max(np.abs(graph.moves).max(), np.abs(graph.end_moves).max())) + spare
     stride = VECTOR * -(-(n_x + pad) // VECTOR)
