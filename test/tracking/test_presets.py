@@ -9,7 +9,13 @@ from scipy import ndimage
 from track_before_detect.capabilities import check_options
 from track_before_detect.errors import ParameterError
 from track_before_detect.options import DetectorOptions
-from track_before_detect.tracking.presets import AUTO, choose_options, NONE, PRESETS
+from track_before_detect.tracking.presets import (
+    AUTO,
+    choose_for_sensors,
+    choose_options,
+    NONE,
+    PRESETS,
+)
 
 NO_FRAMES = np.zeros((0, 4, 4))
 
@@ -151,3 +157,35 @@ def test_a_frame_of_garbage_changes_no_choice(value, recwarn):
     spoilt = np.insert(scene, 5, value, axis=0)
     assert choose_options('auto', {}, spoilt) == choose_options('auto', {}, scene)
     assert not recwarn
+
+
+def test_several_sensors_of_unit_noise_are_taken_as_they_are():
+    options, [reason] = choose_for_sensors({}, {'a': unit_noise(1), 'b': unit_noise(2)})
+    assert options == DetectorOptions() and 'all sensors are white noise' in reason
+
+
+def test_a_scene_of_one_of_several_sensors_is_taken_off_where_all_can_honour_it():
+    still = {'a': unit_noise(1), 'b': scene(seed=4), 'c': np.empty((0, 8, 8))}
+    options, reasons = choose_for_sensors({}, still)
+    check_options(options, several_sensors=True)
+    assert (options.background, options.noise, options.batch_length) == (
+        'temporal_median', 'robust', 30)
+    assert reasons[0] == 'sensor c has sent nothing yet' and 'frames of b show' in reasons[1]
+    options, reasons = choose_for_sensors({'noise': 'map'}, {**still, 'd': scene(jitter=1.0)})
+    check_options(options, several_sensors=True)
+    assert (options.background, options.noise) == ('spatial_median', 'map')
+    few = choose_for_sensors({}, {'a': unit_noise(1), 'b': scene(seed=4)[:2]})
+    assert few.options.background == 'spatial_median'
+    assert 'pictures move (d by ' in reasons[-1]
+
+
+def test_the_psf_of_several_sensors_is_sharp_where_the_noise_of_each_is_white():
+    noisy = {name: 100 + 20 * unit_noise(seed) for seed, name in enumerate('ab')}
+    assert choose_for_sensors({}, noisy).options.psf_sigma_px == 1.0
+    smooth = ndimage.gaussian_filter(noisy['b'], (0, 1, 1))
+    assert choose_for_sensors({}, {**noisy, 'b': smooth}).options.psf_sigma_px == 1.5
+
+
+def test_complex_frames_of_several_sensors_are_searched_as_such():
+    options, _ = choose_for_sensors({}, {'a': 3j * unit_noise(1)})
+    assert (options.amplitudes, options.noise) == ('complex', 'robust')

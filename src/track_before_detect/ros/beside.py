@@ -58,6 +58,8 @@ class Wanted:
         What was asked for.
     frames : array, shape (T, H, W)
         The first of the stream, by which the rest is chosen.
+    taken : array of int, shape (T,), or None
+        Which of several sensors took them.
     shape : tuple of int
         Height and width.
     interval_s : float
@@ -68,6 +70,7 @@ class Wanted:
 
     request: StreamRequest
     frames: NDArray
+    taken: NDArray | None
     shape: tuple[int, int]
     interval_s: float
     earlier: StreamPipeline
@@ -170,7 +173,7 @@ class Beside:
 
     def _prepared(self, wanted: Wanted) -> Prepared:
         try:
-            choice = wanted.request.chosen(wanted.frames)
+            choice = wanted.request.chosen(wanted.frames, wanted.taken)
             self._progress('choosing', 1.0)
             pipeline = self._make_pipeline(choice.options, wanted.earlier)
             threshold = pipeline.warm_up(

@@ -53,7 +53,7 @@ from track_before_detect.ros.diagnostics import (
     Reception,
     Warnings,
 )
-from track_before_detect.ros.frame_queue import StreamRequest
+from track_before_detect.ros.frame_queue import LookedAt, StreamRequest
 from track_before_detect.ros.intake.camera import Camera
 from track_before_detect.ros.intake.camera_input import CAMERA_PARAMETERS, CameraInput, UNKNOWN
 from track_before_detect.ros.intake.frame_reader import (
@@ -281,7 +281,8 @@ class DetectorNode(ManagedNode):
             values['preset'],
             option_values(PARAMETERS, {name: values[name] for name in values.keys() & told}),
             max_gap_s=values['max_gap_s'] or None, queue_length=values['queue_length'] or None,
-            flush_after_s=values['flush_after_s'] or None, several=bool(self._sensors))
+            flush_after_s=values['flush_after_s'] or None, sensors=tuple(
+                LookedAt(one.name, one.shape, one.view.noise_sigma) for one in self._sensors))
         self._make_pipeline(request.unseen.options, None)
         RadarScale.of(values)
         if values['camera_info'] and self._sensors:

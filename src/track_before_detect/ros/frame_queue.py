@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.tracking.batcher import DEFAULT_LENGTH, hop_of, SlidingWindow
-from track_before_detect.tracking.presets import AUTO, Choice, choose_options, FRAMES_SEEN, NONE
+from track_before_detect.tracking.presets import (
+    AUTO,
+    Choice,
+    choose_for_sensors,
+    choose_options,
+    FRAMES_OF_SENSOR,
+    FRAMES_SEEN,
+    NONE,
+)
 
 
 @dataclass(frozen=True)
@@ -72,6 +80,24 @@ class StreamSettings:
 
 
 @dataclass(frozen=True)
+class LookedAt:
+    """What is known before of one of several sensors, at whose first frames is looked.
+
+    Attributes
+    ----------
+    name : str
+    shape : tuple of int
+        (H, W) of its frames, the first rows and columns of those that are handed over.
+    noise_sigma : float
+        Standard deviation of their noise.
+    """
+
+    name: str
+    shape: tuple[int, int]
+    noise_sigma: float
+
+
+@dataclass(frozen=True)
 class StreamRequest:
     """What was told about a stream; the rest is chosen.
 
@@ -83,8 +109,8 @@ class StreamRequest:
         Names and values of options.
     max_gap_s, queue_length, flush_after_s
         See :class:`StreamSettings`; None is automatic.
-    several : bool
-        Whether frames come from several sensors, of which none is looked at.
+    sensors : tuple of LookedAt
+        Those from which frames come, where they are several.
     """
 
     preset: str
@@ -92,30 +118,41 @@ class StreamRequest:
     max_gap_s: float | None = None
     queue_length: int | None = None
     flush_after_s: float | None = None
-    several: bool = False
+    sensors: tuple[LookedAt, ...] = ()
 
     @property
     def looks(self) -> bool:
         """Whether frames have to be seen before all is chosen."""
-        return self.preset == AUTO and not self.several
+        return self.preset == AUTO
 
     @cached_property
     def unseen(self) -> Choice:
         """What is known without a frame, raising ParameterError for what cannot be."""
-        return self._choose(NONE if self.preset == AUTO else self.preset, np.empty((0, 0, 0)))
+        preset = NONE if self.preset == AUTO else self.preset
+        return self._complete(choose_options(preset, self.told, np.empty((0, 0, 0))))
 
-    def chosen(self, frames: NDArray) -> Choice:
-        """Return options for a stream that begins with frames (T, H, W), none automatic."""
-        return self._choose(self.preset, frames) if self.looks else self.unseen
+    def chosen(self, frames: NDArray, taken: NDArray | None = None) -> Choice:
+        """Return options for a stream that begins with frames (T, H, W), none automatic.
+
+        ``taken`` (T,) says which of several sensors took each.
+        """
+        if not self.looks:
+            return self.unseen
+        if taken is None:
+            return self._complete(choose_options(self.preset, self.told, frames))
+        return self._complete(choose_for_sensors(self.told, {
+            one.name: frames[taken == number, :one.shape[0], :one.shape[1]] / one.noise_sigma
+            for number, one in enumerate(self.sensors)}))
 
     def window(self, options: DetectorOptions | None) -> SlidingWindow:
         """Return an empty window for options that were chosen, for a look where None."""
         settings = self.settings(options or self.unseen.options)
         if options is None:
-            length = hop = min(FRAMES_SEEN, settings.batch_length)
+            seen = FRAMES_OF_SENSOR * len(self.sensors) if self.sensors else FRAMES_SEEN
+            length = hop = min(seen, settings.batch_length)
         else:
             length, hop = settings.batch_length, settings.hop
-        return SlidingWindow(length, hop, settings.max_gap_s, self.several)
+        return SlidingWindow(length, hop, settings.max_gap_s, bool(self.sensors))
 
     def settings(self, options: DetectorOptions) -> StreamSettings:
         """Return how the stream is cut and buffered for options that were chosen."""
@@ -123,8 +160,8 @@ class StreamRequest:
         return StreamSettings(length, hop, self.max_gap_s, self.queue_length or 2 * length,
                               self.flush_after_s)
 
-    def _choose(self, preset: str, frames: NDArray) -> Choice:
-        options, reasons = choose_options(preset, self.told, frames)
+    def _complete(self, choice: Choice) -> Choice:
+        options, reasons = choice
         length = options.batch_length or DEFAULT_LENGTH
         return Choice(options.replace(
             batch_length=length, hop=options.hop or hop_of(length)), reasons)

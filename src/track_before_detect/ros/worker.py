@@ -157,6 +157,7 @@ class StreamWorker:
         # Whether the frames in the window are to be looked at first, and those that were.
         self._looking = request.looks
         self._seen: NDArray = np.empty((0, 0, 0))
+        self._seen_by: NDArray | None = None
         self._prepared_for: tuple[int, int] | None = None
         self._failed_for: tuple[int, int] | None = None
         self._prepared_s = 0.0
@@ -314,10 +315,13 @@ class StreamWorker:
         """Choose by the first frames of a stream, then search them."""
         self._searches.wait_until_done()
         self._set_state('choosing', f'options by {len(batch)} frames')
-        choice = self._chosen(self._request, batch.frames)
+        self._seen = batch.frames
+        if self._sensors is not None:
+            self._seen_by = self._taken(batch)[:, 0]
+        choice = self._chosen(self._request)
         if choice is None:
             return
-        self._looking, self._seen = False, batch.frames
+        self._looking = False
         self._adopt(choice)
         self._window = self._request.window(self._options)
         shape = batch.frames.shape[1:]
@@ -329,10 +333,10 @@ class StreamWorker:
             frame = self._held[int(index)]
             self._search(self._window.add(frame.pixels, frame.stamp_s, frame.index).batch)
 
-    def _chosen(self, request: StreamRequest, frames: NDArray) -> Choice | None:
-        """Return what is taken for frames, None if that cannot be searched."""
+    def _chosen(self, request: StreamRequest) -> Choice | None:
+        """Return what is taken for the frames seen, None if that cannot be searched."""
         try:
-            choice = request.chosen(frames)
+            choice = request.chosen(self._seen, self._seen_by)
             # Raises for what the detector in use cannot honour.
             self._make_pipeline(choice.options, None)
             return choice
@@ -368,8 +372,7 @@ class StreamWorker:
         if self._prepared_for != shape and not self._prepare(shape, interval_s):
             return
         if self._sensors is not None:
-            batch = replace(batch, taken=np.array([
-                (self._held[index].sensor, index) for index in batch.frame_indices.tolist()]))
+            batch = replace(batch, taken=self._taken(batch))
         self._searches.wait_until_begun()
         if usable_cores() == 1:
             self._searches.wait_until_done()
@@ -387,6 +390,11 @@ class StreamWorker:
         frames = {index: self._held[index] for index in batch.frame_indices.tolist()}
         self._searches.do(partial(self._find, batch, frames, self._pipeline, search,
                                   self._settings.hop, time.monotonic() - started))
+
+    def _taken(self, batch: FrameBatch) -> NDArray[np.int64]:
+        """Return which of several sensors took each frame, and its number, (T, 2)."""
+        return np.array([
+            (self._held[index].sensor, index) for index in batch.frame_indices.tolist()])
 
     def _find(self, batch: FrameBatch, frames: dict[int, StreamFrame], pipeline: StreamPipeline,
               search: BatchSearch, hop: int, prepared_s: float) -> None:
@@ -501,12 +509,12 @@ class StreamWorker:
         self._beside_counts = shape is not None and not looking
         if shape is not None and self._beside_counts:
             self._beside.ask(Wanted(
-                request, self._seen, shape,
+                request, self._seen, self._seen_by, shape,
                 self._window.median_interval_s or self._expected[1] or 1.0, self._pipeline))
             return
         self._beside.drop()
         self.status.beside = ''
-        choice = request.unseen if looking else self._chosen(request, self._seen)
+        choice = request.unseen if looking else self._chosen(request)
         if choice is None:
             return
         shape, interval_s = self._window.shape, self._window.median_interval_s

@@ -30,6 +30,10 @@ if TYPE_CHECKING:
 AUTO, NONE = 'auto', 'none'
 # Frames that are looked at.
 FRAMES_SEEN = 20
+# Of each of several sensors in a batch, and those that are looked at.
+FRAMES_OF_SENSOR = 10
+# What the picture of one of several sensors may move within these.
+STANDS_STILL_PX = 0.5
 # Difference of level, deviation and correlation of successive frames to those of simulated noise
 # within which frames are taken for it, the last where so many deviations are more.
 NEAR_UNIT = 0.05
@@ -128,33 +132,108 @@ def choose_for(recording: FrameSequence, preset: str, told: Mapping[str, Any]) -
     return choice
 
 
-def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
-    """Return the options that frames ask for, and why."""
+def choose_for_sensors(told: Mapping[str, Any], seen: Mapping[str, NDArray]) -> Choice:
+    """Return options for several sensors by a look at the first frames of each.
+
+    Parameters
+    ----------
+    told : mapping
+        Names and values of options.
+    seen : mapping from str to array, shape (T, H, W)
+        Frames of each sensor by its name, in units of the noise that was told of it.
+    """
+    looks = {name: _looked_at(frames) for name, frames in seen.items() if len(frames)}
+    chosen: dict[str, Any] = {}
+    reasons = [f'sensor {name} has sent nothing yet' for name in seen if name not in looks]
+    scenes = [name for name, look in looks.items() if look.is_scene]
+    if any(look.is_complex for look in looks.values()):
+        chosen = {'amplitudes': 'complex', 'noise': 'robust'}
+        reasons.append('frames of complex numbers')
+    elif not scenes:
+        reasons.append('the frames of all sensors are white noise of the deviation told, 1 unless '
+                       'told: taken as they are')
+    else:
+        chosen = {**_WITHOUT_CLUTTER, 'batch_length': FRAMES_OF_SENSOR * max(2, len(seen)),
+                  'psf_sigma_px': _SCENE['psf_sigma_px']}
+        del chosen['hop']
+        reasons.append(f'the frames of {" and ".join(scenes)} show a scene: background and noise '
+                       'of each sensor are taken from its own frames, and the threshold from '
+                       'noise, which the leftovers of a scene may pass')
+        if all(look.is_white or not look.is_scene for look in looks.values()):
+            chosen['psf_sigma_px'] = SHARP_PX
+            reasons.append('the noise of neighbouring pixels is independent: '
+                           f'psf_sigma_px={SHARP_PX:g} where a sensor has none of its own')
+        scales = {look.scale for look in looks.values()}
+        if len(scales) == 1 and scales != {'linear'}:
+            [chosen['frame_scale']] = scales
+            reasons.append(f'the pixels are {chosen["frame_scale"]} of complex noise: made nearly '
+                           'Gaussian')
+        moving = [f'{name} by {look.reach:.2g} px' for name, look in looks.items()
+                  if look.is_scene and look.reach is not None and look.reach > STANDS_STILL_PX]
+        if moving or min(looks[name].n_frames for name in scenes) < 3:
+            chosen['background'] = 'spatial_median'
+        if moving:
+            reasons.append(f'pictures move ({", ".join(moving)}), which is not taken out where '
+                           'sensors are several: background=spatial_median')
+    return Choice(DetectorOptions.from_mapping({**chosen, **told}), reasons)
+
+
+class _Look(NamedTuple):
+    """What is seen of frames: whether they are a scene, how white its noise is, how it moves.
+
+    ``reach`` is None where nothing tells.
+    """
+
+    is_complex: bool = False
+    is_scene: bool = False
+    scale: str = 'linear'
+    n_frames: int = 0
+    is_white: bool = False
+    reach: float | None = None
+
+
+def _looked_at(frames: NDArray) -> _Look:
     garbage = frames_beyond(frames)
     if garbage.sum() < len(frames):
         frames = frames[~garbage]
     if np.iscomplexobj(frames):
-        return {'amplitudes': 'complex', 'noise': 'robust'}, ['frames of complex numbers']
+        return _Look(is_complex=True)
     if _is_unit_noise(frames):
+        return _Look()
+    look = _Look(is_scene=True, scale=recognised_scale(frames.astype(np.float32)),
+                 n_frames=len(frames))
+    if len(frames) < 3:
+        return look
+    registration = register(frames.astype(np.float32))
+    told = registration.credible.mean() > 0.5
+    return look._replace(
+        is_white=differ_by_white_noise(frames),
+        reach=float(np.ptp(registration.offsets[registration.credible], axis=0).max()) if told
+        else None)
+
+
+def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
+    """Return the options that frames ask for, and why."""
+    look = _looked_at(frames)
+    if look.is_complex:
+        return {'amplitudes': 'complex', 'noise': 'robust'}, ['frames of complex numbers']
+    if not look.is_scene:
         return {}, ['the frames are white noise of deviation 1: taken as they are']
     words = ['the frames show a scene: it is taken off by medians over time and over space, '
              'and what stands out from the clutter that is left is a target']
     chosen = dict(_SCENE)
-    scale = recognised_scale(frames.astype(np.float32))
-    if scale != 'linear':
-        chosen['frame_scale'] = scale
-        words.append(f'the pixels are {scale} of complex noise: made nearly Gaussian')
-    if len(frames) < 3:
+    if look.scale != 'linear':
+        chosen['frame_scale'] = look.scale
+        words.append(f'the pixels are {look.scale} of complex noise: made nearly Gaussian')
+    if look.n_frames < 3:
         return {**chosen, 'background': 'spatial_median'}, words
-    if differ_by_white_noise(frames):
+    if look.is_white:
         chosen['psf_sigma_px'] = SHARP_PX
         words.append(f'the noise of neighbouring pixels is independent: psf_sigma_px={SHARP_PX:g}')
-    registration = register(frames.astype(np.float32))
-    if registration.credible.mean() <= 0.5:
+    if look.reach is None:
         return chosen, [*words, 'nothing tells whether the camera moves: no registration']
-    reach = float(np.ptp(registration.offsets[registration.credible], axis=0).max())
     return {**PRESETS['eoir_moving'], **chosen}, [
-        *words, f'the picture moves by {reach:.2g} px within {len(frames)} frames: '
+        *words, f'the picture moves by {look.reach:.2g} px within {look.n_frames} frames: '
         'registration=auto, search on the image']
 
 
