@@ -18,7 +18,7 @@ from rclpy.qos import (  # noqa: E402
 from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
 from std_msgs.msg import Float32MultiArray, Header  # noqa: E402
 
-from malformed import wild  # noqa: E402
+from soak import wild  # noqa: E402
 from track_before_detect.ros import conversions  # noqa: E402
 
 RATE_HZ = 25.0
