@@ -27,6 +27,10 @@ _OF_PATHS = (
     *(f'search.viterbi_update:{name}' for name in (
         'changed_states', 'count_blocks', 'largest_by_row', 'raise_stale', 'replace_scores',
         'spread_turns', 'store_scores', 'wanted_before', 'wanted_ends')))
+# Where targets may be fast.
+_OF_CELLS = tuple(f'search.cells:{name}' for name in (
+    'begin_rest', 'extend_cells', 'mark_ends', 'mark_positions', 'place_marked', 'pool_scores',
+    'rest_before'))
 # Amplitudes of several paths at once, which a threshold from the clutter does not ask for.
 _OF_FIT = ('fit.group_lasso:solve', 'fit.least_squares:find_blocks', 'fit.least_squares:solve',
            'psf.psf_stamps:accumulate', 'psf.psf_stamps:overlap')
@@ -123,6 +127,12 @@ def entries_of(options: DetectorOptions) -> tuple[str, ...]:
     return _of_search(options) + _of_pictures(options)
 
 
+def searches_cells(options: DetectorOptions) -> bool:
+    """Return whether the paths of fast targets are sought among cells of positions first."""
+    return (_OF_DETECTORS.get(options.detector) is None and options.detector not in METHODS
+            and options.presence == 'full' and options.exposure_s == 0)
+
+
 def _of_search(options: DetectorOptions) -> tuple[str, ...]:
     if options.detector in METHODS:
         method = METHODS[options.detector]
@@ -130,8 +140,9 @@ def _of_search(options: DetectorOptions) -> tuple[str, ...]:
         closing = ('ring.passes:average',) if method.ring else ()
         return (*_OF_PIXELS, f'ring.{order}_order:accumulate', *closing)
     entries = _OF_DETECTORS.get(options.detector, _OF_PATHS)
-    if entries is _OF_PATHS and options.calibration != 'clutter':
-        entries += _OF_FIT
+    if entries is _OF_PATHS:
+        entries += _OF_FIT * (options.calibration != 'clutter')
+        entries += _OF_CELLS * searches_cells(options)
     if options.exposure_s > 0:
         entries += ('scores.streak_scores:scores_of_streak',)
     if options.amplitudes == 'complex' and options.amplitude_model != 'fluctuating':

@@ -36,10 +36,11 @@ from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.solvers.ring.merit_detector import MeritDetector
 from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.solvers.search.coarse_to_fine import search_once
 from track_before_detect.solvers.tiled import TiledDetector
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
 from track_before_detect.tracking.batcher import hop_of
-from track_before_detect.tracking.compilation import LABEL, told_of_compiling
+from track_before_detect.tracking.compilation import LABEL, searches_cells, told_of_compiling
 from track_before_detect.tracking.previous_batch import map_previous_batch
 from track_before_detect.tracking.remarks import Remarks
 from track_before_detect.tracking.stitcher import Stitcher
@@ -199,6 +200,8 @@ class TrackingPipeline:
             frames[:, 0, 0] = np.nan
             for detector in detectors:
                 detector.detect(batch)
+            if searches_cells(options):
+                search_once()
             self._prepare_once(options, frames.dtype)
         if progress is not None:
             progress(LABEL, 1.0)

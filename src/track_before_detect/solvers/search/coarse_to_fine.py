@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.rows import ABSENT, absent_rows
 from track_before_detect.kernels.search import cells, viterbi
-from track_before_detect.models.motion.state_graph import StateGraph
+from track_before_detect.models.motion.state_graph import build_state_graph, StateGraph
 from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.search.compiled_graph import (
     layout_of,
@@ -313,3 +313,14 @@ def _cells_of(graph: StateGraph,
     layout = layout._replace(lanes=lanes, stride=max(layout.stride, lanes),
                              guard=layout.guard + layout.block)
     return coarse, layout, HeldRows(coarse, layout, math.inf)
+
+
+def search_once() -> None:
+    """Run every loop, so that it is compiled: batches that are large enough take long."""
+    graph = build_state_graph(np.arange(8.0), step_px=1.0, max_speed=1.7, max_acceleration=0.4,
+                              turn_cost=0.5)
+    scores = np.random.default_rng(0).exponential(size=(8, 80, 80)).astype(np.float32)
+    scores[:, 40, 40] += 30
+    table = CoarseToFine(graph, scores.shape[1:])
+    table.update(scores, 230.0)
+    table.best_paths(230.0, 2, 1)
