@@ -108,6 +108,8 @@ class PathDetector(BatchDetector):
 
     # Best paths of noise whose positions are refined.
     refined_in_noise = 0
+    # Whether few paths pass the levels that are searched for.
+    few_pass = True
 
     def __init__(self, options: DetectorOptions, measurement: MeasurementModel | None = None):
         super().__init__(options)
@@ -314,7 +316,8 @@ class PathDetector(BatchDetector):
             self._search = None
             self._tell_memory(graph, measurement, shape)
             self._search = (key, path_search(graph, measurement, shape, self.model, self.presence,
-                                             usable_cores(), self._most_bytes))
+                                             usable_cores(), self._most_bytes,
+                                             self.few_pass))
         self._search[1].set_weights(weights)
         return self._search[1]
 

@@ -130,7 +130,8 @@ def entries_of(options: DetectorOptions) -> tuple[str, ...]:
 def searches_cells(options: DetectorOptions) -> bool:
     """Return whether the paths of fast targets are sought among cells of positions first."""
     return (_OF_DETECTORS.get(options.detector) is None and options.detector not in METHODS
-            and options.presence == 'full' and options.exposure_s == 0)
+            and options.presence == 'full' and options.exposure_s == 0
+            and options.calibration != 'clutter')
 
 
 def _of_search(options: DetectorOptions) -> tuple[str, ...]:

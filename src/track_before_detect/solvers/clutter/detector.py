@@ -67,6 +67,9 @@ class ClutterDetector(PathDetector):
     Targets of ``amplitudes=signed`` are bright throughout a batch, or dark.
     """
 
+    # The strongest of the noise are sought as well.
+    few_pass = False
+
     def __init__(self, options: DetectorOptions, measurement: MeasurementModel | None = None):
         self._signs: tuple[int, ...] = (1,)
         if options.amplitudes == 'signed':

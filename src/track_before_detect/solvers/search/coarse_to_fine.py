@@ -285,10 +285,13 @@ PathTable = ViterbiTable | CoarseToFine
 
 def path_table(graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1,
                kinds: NDArray | None = None, presence: Presence | None = None,
-               most_bytes: float = math.inf) -> PathTable:
-    """Return the table that is quickest; parameters as of :class:`ViterbiTable`."""
+               most_bytes: float = math.inf, few_pass: bool = True) -> PathTable:
+    """Return the table that is quickest; parameters as of :class:`ViterbiTable`.
+
+    ``few_pass`` says that the levels which are asked for are passed by few states.
+    """
     n_states = graph.n_segments * graph.n_velocities * float(np.prod(grid_shape))
-    if (n_states >= LEAST_STATES and kinds is None and presence is None
+    if (few_pass and n_states >= LEAST_STATES and kinds is None and presence is None
             and cell_bytes(graph, grid_shape) <= most_bytes):
         return CoarseToFine(graph, grid_shape, n_threads, most_bytes)
     return ViterbiTable(graph, grid_shape, n_threads, kinds, presence, most_bytes)

@@ -60,18 +60,20 @@ class PathSearch:
         As there.
     most_bytes : float
         Memory for each table; see ``ViterbiTable``.
+    few_pass : bool
+        As there.
     """
 
     def __init__(self, graph: StateGraph, scores: Scores, model: AmplitudeModel,
                  presence: Presence | None = None, n_threads: int = 1,
-                 most_bytes: float = math.inf):
+                 most_bytes: float = math.inf, few_pass: bool = True):
         self.graph = graph
         self.model = model
         self.grid_shape = scores.grid_shape
         self._scores = scores
         self._presence = presence
         tables = [(sign, path_table(graph, scores.grid_shape, n_threads, scores.kinds, presence,
-                                    most_bytes)) for sign in model.signs]
+                                    most_bytes, few_pass)) for sign in model.signs]
         self._additive = Additive(scores, tables, presence)
         self._ratio = Ratio(scores, tables, presence)
 
@@ -139,7 +141,8 @@ class PathSearch:
 
 def path_search(graph: StateGraph, measurement: MeasurementModel, shape: tuple[int, int],
                 amplitudes: AmplitudeModel, presence: Presence | None = None,
-                n_threads: int = 1, most_bytes: float = math.inf) -> PathSearch:
+                n_threads: int = 1, most_bytes: float = math.inf,
+                few_pass: bool = True) -> PathSearch:
     """Return the search for the paths of a graph in frames of one size.
 
     Parameters
@@ -158,10 +161,12 @@ def path_search(graph: StateGraph, measurement: MeasurementModel, shape: tuple[i
         Threads that share the rows of the frames.
     most_bytes : float
         Memory that scores and tables may take; see ``search_bytes``.
+    few_pass : bool
+        Whether few paths pass the levels that are asked for, as those of noise do.
     """
     over_rows = RowThreads(grid_shape(measurement, shape)[0], n_threads)
     scores = measurement.scores(graph, shape, amplitudes, over_rows)
     if graph.coupling is not None:
         scores = ShearedScores(scores, graph)
     return PathSearch(graph, scores, amplitudes, presence, n_threads, table_share(
-        graph, measurement, shape, amplitudes, most_bytes))
+        graph, measurement, shape, amplitudes, most_bytes), few_pass)
