@@ -9,6 +9,8 @@ from track_before_detect.tracking.recording import FrameSequence
 
 # Size of a feature, odd; how far it moves in a frame; frames it may be missing; shortest track.
 DIAMETER_PX, SEARCH_RANGE_PX, MEMORY_FRAMES, LEAST_FRAMES = 5, 5, 3, 5
+# Most features of a frame that are linked, the strongest first: noise has thousands.
+MOST_FEATURES = 100
 # Where too many features are near each other to be linked, the range becomes less, down to this.
 LEAST_RANGE_PX = 1
 # The walkthrough has the user read the least mass off a histogram; here it is this many deviations
@@ -26,12 +28,13 @@ def find_tracks(frames: FrameSequence) -> list[NDArray]:
     found = []
     for index in range(len(frames)):
         features = trackpy.locate(
-            np.asarray(frames[index], float), DIAMETER_PX, minmass=least)
+            np.asarray(frames[index], float), DIAMETER_PX, minmass=least,
+            topn=MOST_FEATURES if index else None)
         if index == 0 and len(features):
             middle = features['mass'].median()
             least = float(middle + MASS_DEVIATIONS * 1.4826
                           * (features['mass'] - middle).abs().median())
-            features = features[features['mass'] > least]
+            features = features[features['mass'] > least].nlargest(MOST_FEATURES, 'mass')
         found.append(features.assign(frame=index)[['frame', 'x', 'y']])
     return linked(pandas.concat(found), len(frames))
 

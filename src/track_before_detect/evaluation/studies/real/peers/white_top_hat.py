@@ -3,7 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.studies.real.peers.trackpy_peer import linked
+from track_before_detect.evaluation.studies.real.peers.trackpy_peer import (
+    linked,
+    MOST_FEATURES,
+)
 from track_before_detect.tracking.recording import FrameSequence
 
 # Radius of the disc that no target fits into; deviations above the mean of the filtered frame.
@@ -20,6 +23,7 @@ def find_tracks(frames: FrameSequence) -> list[NDArray]:
     for index in range(len(frames)):
         frame = white_tophat(np.asarray(frames[index], np.float32), disk(RADIUS_PX))
         regions = label(frame > frame.mean() + DEVIATIONS * frame.std())
+        largest = sorted(regionprops(regions), key=lambda region: -region.area)
         rows += [(index, region.centroid[1], region.centroid[0])
-                 for region in regionprops(regions)]
+                 for region in largest[:MOST_FEATURES]]
     return linked(pandas.DataFrame(rows, columns=['frame', 'x', 'y']), len(frames))
