@@ -25,10 +25,11 @@ def add_arguments(parser: Any) -> None:
     """Add the arguments of the command."""
     parser.add_argument('bench', metavar='BENCH', nargs='?', default='convex',
                         help='what is measured: convex (default); dp, dynamic programming beside '
-                        'plain NumPy; fit, amplitudes of thousands of given paths; parallel, '
-                        'target cancellation by direction; scene, a panning camera with '
-                        'preset=auto; velocity_filter, beside plain NumPy; compilation, of the '
-                        'loops from nothing')
+                        'plain NumPy; fit, amplitudes of thousands of given paths; memory, with '
+                        'few states at a time; parallel, target cancellation by direction; '
+                        'scene, a panning camera with preset=auto; tiles, of large frames; '
+                        'velocity_filter, beside plain NumPy; compilation, of the loops from '
+                        'nothing')
     parser.add_argument('--output', metavar='FILE.json', default='bench.json',
                         help='file to write (default: bench.json)')
     parser.add_argument('--repeats', metavar='R', type=int, default=7,

@@ -9,13 +9,14 @@ from track_before_detect.evaluation.benchmarks import (
     memory,
     parallel,
     scene,
+    tiles,
     velocity_filter,
 )
 from track_before_detect.evaluation.benchmarks.bench import Bench
 
 BENCHES: dict[str, Bench] = {
     one.BENCH.name: one.BENCH for one in (
-        convex, dp, fit, memory, parallel, scene, velocity_filter, compilation)}
+        convex, dp, fit, memory, parallel, scene, tiles, velocity_filter, compilation)}
 
 
 def bench_named(name: str) -> Bench:
