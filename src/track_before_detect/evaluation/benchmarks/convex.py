@@ -10,8 +10,8 @@ from typing import Any
 
 from track_before_detect.evaluation.benchmarks import path_search
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
-from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
 from track_before_detect.evaluation.engine.tables import aligned
+from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.base import grid_shape
 from track_before_detect.models.measurement.psf import GaussianPsf

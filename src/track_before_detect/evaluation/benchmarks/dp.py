@@ -13,8 +13,8 @@ import numpy as np
 
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
 from track_before_detect.evaluation.benchmarks.numpy_merit import numpy_merit_functions
-from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
 from track_before_detect.evaluation.engine.tables import aligned
+from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.models.motion.velocity_candidates import straight_lines, whole_velocities
 from track_before_detect.solvers.ring.merit_functions import merit_functions
 

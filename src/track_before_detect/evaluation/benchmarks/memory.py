@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
-from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
 from track_before_detect.evaluation.engine.tables import aligned
+from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.options import DetectorOptions
 from track_before_detect.runs.own_process import in_own_process, peak_memory
 from track_before_detect.simulation.scenarios import simulate

@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
-from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
 from track_before_detect.evaluation.engine.tables import aligned
+from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.evaluation.metrics.paper_metrics import track_errors
 from track_before_detect.evaluation.studies.parallel import scenes as parallel_scenes
 from track_before_detect.evaluation.studies.parallel.scenes import ParallelScene

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.evaluation.benchmarks.bench import SEED
-from track_before_detect.evaluation.benchmarks.timing import summary, timed
+from track_before_detect.evaluation.engine.timing import summary, timed
 from track_before_detect.models.motion.state_graph import build_state_graph, StateGraph
 from track_before_detect.runs.own_process import in_own_process
 from track_before_detect.solvers.search.viterbi_table import ViterbiTable

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
-from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
 from track_before_detect.evaluation.engine.tables import aligned
+from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.options import DetectorOptions
 from track_before_detect.parallel import ahead
 from track_before_detect.preprocess.per_frame import KeptFrames

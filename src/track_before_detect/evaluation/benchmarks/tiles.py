@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.detection import detect
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
-from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
 from track_before_detect.evaluation.engine.tables import aligned
+from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
+from track_before_detect.options import DetectorOptions
 from track_before_detect.runs.own_process import in_own_process, peak_memory
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.search.memory import BYTES_PER_GB
+from track_before_detect.tracking.pipeline import TrackingPipeline
+from track_before_detect.types import DetectionResult, FrameBatch
 
 N_FRAMES, SNR, SPEED_PX = 20, 5.0, 0.8
 # Given, for the calibration of a threshold is not what is measured.
@@ -59,8 +61,9 @@ def measure_case(case: Case, repeats: int) -> dict[str, Any]:
         for frame, (x, y) in zip(frames, track, strict=True):
             add_target(frame, x, y, 1.0, SNR)
 
-    def search() -> Any:
-        return detect(frames, tile_px=case.tile_px, threshold=THRESHOLD)
+    def search() -> DetectionResult:
+        options = DetectorOptions(tile_px=case.tile_px, threshold=THRESHOLD)
+        return TrackingPipeline(options).process(FrameBatch.of(frames, np.arange(float(N_FRAMES))))
 
     found = np.array([one.positions for one in search().trajectories])
     peak = peak_memory()

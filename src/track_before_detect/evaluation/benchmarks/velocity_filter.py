@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
-from track_before_detect.evaluation.benchmarks.timing import in_ms, summary, timed
 from track_before_detect.evaluation.engine.tables import aligned
+from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.velocity_grid import velocity_grid, VelocityGrid
 from track_before_detect.solvers.pixel_statistics import measure

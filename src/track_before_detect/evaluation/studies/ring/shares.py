@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.benchmarks.timing import timed
 from track_before_detect.evaluation.engine.quantities import estimate, Quantity
+from track_before_detect.evaluation.engine.timing import timed
 from track_before_detect.evaluation.studies.ring.scenes import SIDE_PX
 from track_before_detect.solvers.ring.merit_functions import METHODS
 
