@@ -45,10 +45,10 @@ def test_points_and_markers_have_rays_once_the_camera_is_known(launch, station, 
     stamps = 100.0 + np.arange(40) / RATE_HZ
 
     def batch(number, message):
-        """Send what is said of the camera, then the frames of a batch; return its points."""
-        infos.publish(message)
-        station.spin_for(0.1)
+        """Send the frames of a batch, and as cameras do with each what is said of the camera."""
         for k in range(10 * number, 10 * number + 10):
+            infos.publish(message)
+            station.spin_for(0.01)
             images.publish(conversions.image_from_frame(
                 frames[k], Header(stamp=conversions.time_from_seconds(stamps[k]))))
             station.spin_for(0.01)
