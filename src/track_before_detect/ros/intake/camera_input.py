@@ -69,7 +69,8 @@ class CameraInput:
         self._rectified = rectified
         self._warn = warn
         self._camera: Camera | None = None
-        self._missing = f'nothing has come on {topic} yet'
+        # A kind of its own, so that what comes at last is said at once.
+        self._missing = 'no camera', f'nothing has come on {topic} yet'
 
     @property
     def frame_id(self) -> str:
@@ -81,13 +82,14 @@ class CameraInput:
         try:
             self._camera = camera_of(message, self._rectified)
         except (DataError, np.linalg.LinAlgError) as error:
-            self._camera, self._missing = None, f'{self._topic} cannot be used: {error}'
+            self._camera = None
+            self._missing = 'camera', f'{self._topic} cannot be used: {error}'
 
     def camera(self, shape: tuple[int, int], frame_id: str) -> Camera:
         """Return the camera of frames (H, W), one that knows nothing where it is another's."""
         camera = self._camera
         if camera is None:
-            kind, missing = 'camera', self._missing
+            kind, missing = self._missing
         elif camera.shape != shape:
             kind, missing = 'camera size', (
                 f'{self._topic} tells of frames of {camera.shape[0]} x {camera.shape[1]} '
