@@ -40,7 +40,7 @@ from track_before_detect.options import (
     parse_option,
 )
 from track_before_detect.parallel import map_in_threads
-from track_before_detect.recordings.open_recording import expand_inputs, open_recording
+from track_before_detect.recordings.open_recording import expand_inputs
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.results.folder import summary_of, Wanted, write_folder
 from track_before_detect.results.found import Found
@@ -207,11 +207,11 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
     Return what was found, also as text, the files, and the lines of JSON that are asked for.
     """
     started = time.perf_counter()
-    with open_recording(path, arguments.topic, arguments.fps) as recording:
+    source = Opened(path, arguments.topic, arguments.fps)
+    with source.open() as recording:
         result, options = search(recording, arguments, told)
         found = Found(recording, options, result)
-        summary = summary_of(found, time.perf_counter() - started, __version__,
-                             Opened(path, arguments.topic, arguments.fps))
+        summary = summary_of(found, time.perf_counter() - started, __version__, source)
         rejected = numbered(result) if arguments.explain else None
         with Progress.asked_for(arguments) as progress:
             written = write_folder(output, found, summary, wanted, rejected, progress)

@@ -3,7 +3,6 @@
 from argparse import Namespace
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
 import time
 from typing import Any
 
@@ -14,8 +13,9 @@ from track_before_detect.cli.console import FOUND, Progress, table
 from track_before_detect.cli.detect import add_input_arguments, chosen_options, told_options
 from track_before_detect.options import DetectorOptions
 from track_before_detect.parallel import map_in_threads
-from track_before_detect.recordings.open_recording import expand_inputs, open_recording
+from track_before_detect.recordings.open_recording import expand_inputs
 from track_before_detect.recordings.recording import Recording
+from track_before_detect.results.saved import Opened
 from track_before_detect.timestamps import increasing_frames, median_interval
 
 # Larger frames of few batches are tried on squares in their middle instead: time goes on in
@@ -65,11 +65,11 @@ def run(arguments: Namespace) -> int:
     told = told_options(arguments)
     rows, plans = [], []
     for path in expand_inputs(arguments.inputs):
-        with open_recording(path, arguments.topic, arguments.fps) as recording:
+        source = Opened(path, arguments.topic, arguments.fps)
+        with source.open() as recording:
             options, _ = chosen_options(recording, arguments, told)
             with Progress.asked_for(arguments) as progress:
-                plans.append(_plan(recording, options, (path, arguments.topic, arguments.fps),
-                                   progress))
+                plans.append(_plan(recording, options, source, progress))
             rows.append((recording.name, str(len(recording)),
                          f'{recording.shape[1]} x {recording.shape[0]}', *_cells(plans[-1])))
     if len(plans) > 1:
@@ -86,7 +86,7 @@ def _cells(plan: Plan) -> tuple[str, ...]:
             f'{plan.memory_bytes / 1e9:.2g}')
 
 
-def _plan(recording: Recording, options: DetectorOptions, source: tuple[Path, Any, Any],
+def _plan(recording: Recording, options: DetectorOptions, source: Opened,
           progress: Progress) -> Plan:
     """Return what the search of a recording costs."""
     from track_before_detect.runs.own_process import in_own_process
@@ -160,7 +160,7 @@ def _clocks() -> NDArray[np.float64]:
     return np.array([time.perf_counter(), time.process_time()])
 
 
-def _tried(source: tuple[Path, Any, Any], options: DetectorOptions, side: int,
+def _tried(source: Opened, options: DetectorOptions, side: int,
            ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
     """Search a few batches in the middle; return times (wall, CPU) and memory.
 
@@ -172,7 +172,7 @@ def _tried(source: tuple[Path, Any, Any], options: DetectorOptions, side: int,
     from track_before_detect.tracking.pipeline import TrackingPipeline
     from track_before_detect.tracking.recording import batches
 
-    with open_recording(*source) as recording:
+    with source.open() as recording:
         parts, length, hop = _cut(recording, options)
         part = max(parts, key=len)
         middle = _Middle(recording, side)

@@ -17,7 +17,7 @@ from track_before_detect.atomic_files import atomic_path
 from track_before_detect.cli.console import check_output_file, FOUND, NOTHING_FOUND, require_extra
 from track_before_detect.cli.detect import add_input_arguments, search, told_options
 from track_before_detect.errors import DataError
-from track_before_detect.recordings.open_recording import expand_inputs, open_recording
+from track_before_detect.recordings.open_recording import expand_inputs
 from track_before_detect.results.saved import is_result, Opened, read_result
 
 HELP = 'look at a search in a window or a browser'
@@ -68,7 +68,7 @@ def run(arguments: Namespace) -> int:
     found = read_result(paths[0]) if is_result(paths[0]) else None
     source = Opened(paths[0], arguments.topic, arguments.fps) if found is None else found[0]
     with ExitStack() as opened:
-        recording = opened.enter_context(open_recording(source.path, source.topic, source.fps))
+        recording = opened.enter_context(source.open())
         if arguments.save is not None:
             stream.save(opened.enter_context(atomic_path(arguments.save)))
         elif arguments.web:

@@ -34,6 +34,12 @@ def frame_level(frames: NDArray, floor: float = 0.0) -> NDArray:
     return np.array(levels)[:, None, None]
 
 
+def _ring_sides(width_px: float) -> tuple[int, int]:
+    """Return the inner and the outer side of the ring of a pixel."""
+    inner, outer = (2 * round(side * width_px) + 1 for side in _RING_WIDTHS)
+    return inner, outer
+
+
 def local_level(frame: NDArray, floor: float, width_px: float) -> NDArray:
     """Return the noise level around each pixel of a frame.
 
@@ -55,7 +61,7 @@ def local_level(frame: NDArray, floor: float, width_px: float) -> NDArray:
     float32 array, shape (H, W)
         Level; NaN for a frame that is masked entirely.
     """
-    inner, outer = (2 * round(side * width_px) + 1 for side in _RING_WIDTHS)
+    inner, outer = _ring_sides(width_px)
     # A quarter of the pixels tells the level of a frame well enough.
     whole = robust_deviation(frame[::2, ::2], floor)
     if np.isnan(whole):
@@ -89,7 +95,7 @@ def lasting_level(frames: NDArray, maps: NDArray, width_px: float) -> NDArray:
     on_plane = frames if stand_still(maps) else warped_frames(frames, maps)
     number = np.maximum(np.isfinite(on_plane).sum(axis=0), 1)
     total = np.nansum(on_plane, axis=0) / np.sqrt(number, dtype=np.float32)
-    inner, outer = (2 * round(side * width_px) + 1 for side in _RING_WIDTHS)
+    inner, outer = _ring_sides(width_px)
     level = np.empty((1, *total.shape), np.float32)
     ring_level(total, inner, outer, 0.0, level[0])
     if on_plane is frames:

@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from track_before_detect.errors import DataError
+from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.recordings.recording import Recording
 from track_before_detect.recordings.result_files import read_trajectories_csv
 from track_before_detect.types import Trajectory
 
@@ -28,6 +30,10 @@ class Opened:
     path: Path
     topic: str | None = None
     fps: float | None = None
+
+    def open(self) -> Recording:
+        """Open it; errors are those of :func:`open_recording`."""
+        return open_recording(self.path, self.topic, self.fps)
 
     def as_mapping(self) -> dict[str, Any]:
         """Return what summary.json says of it."""
