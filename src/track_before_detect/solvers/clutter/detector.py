@@ -20,7 +20,7 @@ from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult, FoundTrajectory
-from track_before_detect.solvers.clutter.path_tail import MOST_PATHS, path_tail, PathTail
+from track_before_detect.solvers.clutter.path_tail import MOST_PATHS, PathTail, tail_behind
 from track_before_detect.solvers.clutter.reasons import (
     IN_ONE_FRAME,
     ON_BORDER,
@@ -143,8 +143,8 @@ class ClutterDetector(PathDetector):
             if len(apart) > MOST_PATHS:
                 break
         statistics = [self.scale.statistic(path.value, len(path.positions)) for path in apart]
-        return path_tail([*statistics, *[0.0] * max(3 - len(statistics), 0)],
-                         float(np.prod(shape) / reach**2))
+        return tail_behind([*statistics, *[0.0] * max(3 - len(statistics), 0)],
+                           float(np.prod(shape) / reach**2), self.options.false_alarm_rate)
 
     def _set_aside(self, frames: NDArray, positions: NDArray) -> None:
         """Take the pixels of a path out of the frames, the whole of a wide target."""
