@@ -6,6 +6,7 @@ import pytest
 from scenes.residuals import add_target, residual
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.clutter.detector import BELOW, ClutterDetector
+from track_before_detect.solvers.clutter.reasons import SHADOW
 from track_before_detect.types import FrameBatch
 
 OPTIONS = {'calibration': 'clutter', 'amplitudes': 'signed', 'psf_sigma_px': 1.5}
@@ -100,6 +101,20 @@ def test_dim_target_is_found_beside_a_bright_one():
     assert follows(bright, ways[0])
     assert follows(dim, ways[1])
     assert bright.statistic > 10 * dim.statistic
+
+
+@pytest.mark.parametrize('sign', [1, -1])
+@pytest.mark.parametrize(('distance_px', 'n_found'), [(11.0, 1), (30.0, 2)])
+def test_what_runs_beside_a_stronger_one_of_the_other_sign_is_its_shadow(
+        sign, distance_px, n_found):
+    frames = clutter('k_distributed', 6, shape=(10, 96, 96))
+    way = add_target(frames, sign * 40.0, (30, 30), (1, 0.5))
+    shadow = add_target(frames, -sign * 9.0, (30, 30 + distance_px), (1, 0.5))
+    result = searched(frames)
+    assert len(result.found) == n_found
+    assert follows(result.found[0], way)
+    shadows = [one for one in result.rejected if one.reason == SHADOW]
+    assert [follows(one, shadow) for one in shadows] == [True] * (2 - n_found)
 
 
 @pytest.mark.parametrize('snr', [15.0, 60.0, 300.0])

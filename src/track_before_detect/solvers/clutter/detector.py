@@ -23,8 +23,10 @@ from track_before_detect.solvers.batch_detector import BatchResult, FoundTraject
 from track_before_detect.solvers.clutter.path_tail import MOST_PATHS, PathTail, tail_behind
 from track_before_detect.solvers.clutter.reasons import (
     IN_ONE_FRAME,
+    is_shadow,
     ON_BORDER,
     reason_against,
+    SHADOW,
 )
 from track_before_detect.solvers.clutter.strongest_paths import (
     N_PATHS,
@@ -114,6 +116,8 @@ class ClutterDetector(PathDetector):
                 break
             reason = reason_against(trajectory, task.paths.frames,
                                     self.measurement.width_px, task.scene)
+            if any(is_shadow(trajectory, one, self.measurement.width_px) for one in found):
+                reason = SHADOW
             (rejected if reason else found).append(replace(trajectory, reason=reason))
             strongest.renew(path.sign)
             others = strongest.by_strength()

@@ -10,6 +10,7 @@ from track_before_detect import geometry
 from track_before_detect.solvers.batch_detector import FoundTrajectory
 
 ON_BORDER, IN_ONE_FRAME = 'on the border of the frames', 'in one frame only'
+SHADOW = 'shadow of a stronger one'
 # Distance from the border, in widths of the PSF, within which the scene comes in and goes.
 BORDER = 3.0
 # Frames that a path may owe its statistic to more than in equal shares.
@@ -54,6 +55,17 @@ def reason_against(trajectory: FoundTrajectory, frames: NDArray, width_px: float
     if _is_edge(trajectory, frames, width_px):
         return 'edge-like'
     return ''
+
+
+def is_shadow(trajectory: FoundTrajectory, stronger: FoundTrajectory, width_px: float) -> bool:
+    """Return whether a trajectory runs beside a stronger one of the other sign.
+
+    A background that is estimated around a target, or while it is there, holds some of it: where
+    the target is not, too much is taken off.
+    """
+    distances = np.hypot(*(trajectory.positions - stronger.positions).T)
+    opposite = np.nansum(trajectory.amplitudes) * np.nansum(stronger.amplitudes) < 0
+    return bool(opposite and np.nanmedian(distances) < LONGEST_PX + HALF_HEIGHT * width_px)
 
 
 def _follows(positions: NDArray, scene: NDArray) -> bool:
