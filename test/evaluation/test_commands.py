@@ -134,6 +134,11 @@ def test_a_suite_of_real_recordings_needs_a_folder(stand_in, tmp_path, capsys):
     assert_one_sentence(capsys, '--data', 'this one simulates its own')
     assert run('evaluate', 'real', '--data', tmp_path / 'absent', '--output', output) == 2
     assert_one_sentence(capsys, 'absent is no folder')
+    assert run('evaluate', 'study', '--methods', 'auto', '--output', output) == 2
+    assert_one_sentence(capsys, '--methods is for the study real alone')
+    chosen = '--data', tmp_path, '--methods', 'pc_d'
+    assert run('evaluate', 'real', *chosen, '--output', output) == 2
+    assert_one_sentence(capsys, "unknown method 'pc_d'", 'pc_dp')
 
 
 def test_a_suite_is_repeated_as_often_as_it_says_unless_told(monkeypatch, tmp_path):

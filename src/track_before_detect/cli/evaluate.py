@@ -30,6 +30,7 @@ examples:
   tbd evaluate detection --runs 200 --seed 1 --output evaluation
   tbd evaluate ring-single --runs 20 --output ring --jobs 4
   tbd evaluate real --data recordings --output real
+  tbd evaluate real --data recordings --methods auto,mff_dpr,trackpy
   on a cluster (joblib's Dask or Ray backend):
     tbd evaluate ring-single --runs 1000 --output ring --backend dask --scheduler tcp://host:8786
 """
@@ -43,6 +44,9 @@ def add_arguments(parser: Any) -> None:
                         'real-alarms 2)')
     parser.add_argument('--data', metavar='FOLDER',
                         help='recordings with truth, for the suites real and real-alarms')
+    parser.add_argument('--methods', metavar='NAMES', default='',
+                        help='of the suite real, separated by commas: auto, a detector, or what '
+                        'else is installed (default: all)')
     parser.add_argument('--seed', metavar='S', type=int, default=0,
                         help='the same seed gives the same recordings (default: 0)')
     add_output_argument(parser, folder='evaluation')
@@ -75,12 +79,14 @@ def run(arguments: Namespace) -> int:
     check_output_folder(output)
     require_matplotlib()
     runs = suite.runs if arguments.runs is None else arguments.runs
-    data = [] if arguments.data is None else [f'--data={arguments.data}']
-    command = shlex.join(['tbd', 'evaluate', arguments.suite, *data, '--runs', str(runs),
+    told = [f'--{name}={value}' for name in ('data', 'methods')
+            if (value := getattr(arguments, name))]
+    command = shlex.join(['tbd', 'evaluate', arguments.suite, *told, '--runs', str(runs),
                           '--seed', str(arguments.seed), '--output', arguments.output])
     with Progress.asked_for(arguments) as progress:
         result = suite.run(runs, arguments.seed, Runner(
-            progress, workers, KeptResults(output / 'runs.jsonl')), arguments.data)
+            progress, workers, KeptResults(output / 'runs.jsonl')), arguments.data,
+            [name.strip() for name in arguments.methods.split(',') if name.strip()])
     written = write_suite_result(output, arguments.suite, result, command)
     print(table_text(result.quantities))
     print(f'written: {", ".join(map(str, written))}')

@@ -1,6 +1,6 @@
 """A study that can be repeated, and what it hands over."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 import dataclasses
 from dataclasses import dataclass, field
 from typing import Any
@@ -59,14 +59,19 @@ class Suite:
         Whether it is made of recordings in a folder, not of simulated ones.
     runs : int
         How often it is repeated unless said otherwise.
+    methods : callable, optional
+        Of a study of which methods may be left out: returns those of the names it is told, as the
+        study takes them.
     """
 
     description: str
     study: Callable[..., SuiteResult]
     needs_data: bool = False
     runs: int = 100
+    methods: Callable[[Sequence[str]], Mapping[str, Any]] | None = None
 
-    def run(self, runs: int, seed: int, runner: Runner, data: str | None = None) -> SuiteResult:
+    def run(self, runs: int, seed: int, runner: Runner, data: str | None = None,
+            methods: Sequence[str] = ()) -> SuiteResult:
         """Carry out the study.
 
         Parameters
@@ -79,6 +84,8 @@ class Suite:
             Carries out the runs.
         data : str, optional
             Folder of recordings with truth, of a study that needs it and of no other.
+        methods : sequence of str
+            Those that are compared; all unless given.
         """
         if runs < 1:
             raise ParameterError(f'runs must be at least 1, got {runs}')
@@ -88,6 +95,11 @@ class Suite:
             raise ParameterError(
                 '--data, a folder of recordings with truth, is for studies of real recordings '
                 f'alone; this one {"needs it" if self.needs_data else "simulates its own"}')
-        result = self.study(runs, seed, runner, **({} if data is None else {'data': data}))
+        told: dict[str, Any] = {} if data is None else {'data': data}
+        if methods:
+            if self.methods is None:
+                raise ParameterError('--methods is for the study real alone')
+            told['methods'] = self.methods(methods)
+        result = self.study(runs, seed, runner, **told)
         return dataclasses.replace(
             result, settings={'runs': runs, 'seed': seed, **result.settings})

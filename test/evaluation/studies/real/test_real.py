@@ -6,12 +6,17 @@ import math
 import numpy as np
 import pytest
 
-from track_before_detect.errors import DataError
+from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.evaluation.engine.report import write_suite_result
 from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.studies.real import runs as real_runs
-from track_before_detect.evaluation.studies.real.methods import METHODS, options_of
+from track_before_detect.evaluation.studies.real.methods import (
+    METHODS,
+    methods_and_peers,
+    options_of,
+)
 from track_before_detect.evaluation.studies.real.suite import run_real
+from track_before_detect.options import DETECTORS
 
 OURS = {'threshold': 20.0, 'batch_length': 8, 'hop': 4}
 N_FRAMES = 12
@@ -42,8 +47,12 @@ def item(folder, **changes):
 def test_every_method_has_options_that_can_be_used():
     rng = np.random.default_rng(0)
     for frames in (rng.normal(size=(20, 40, 50)), 8000 + 20 * rng.normal(size=(20, 40, 50))):
-        for method in METHODS.values():
-            assert options_of(method, Frames(frames)).detector == 'convex'
+        used = {name: options_of(method, Frames(frames)) for name, method in METHODS.items()}
+        assert {name: options.detector for name, options in used.items()} == {
+            'auto': 'convex', **{name: name for name in DETECTORS[1:]}}
+        prepared = {(options.background, options.registration, options.noise)
+                    for name, options in used.items() if name != 'auto'}
+        assert len(prepared) == 1
 
 
 def test_options_of_a_method_override_those_of_its_preset():
@@ -117,6 +126,13 @@ def test_the_suite_reports_every_method_and_snr(folder, tmp_path):
     assert '| archives | ours | 1 | 100 | 0 |' in report
     assert {path.name for path in written} == {
         'report.md', 'real.csv', 'real.png', 'summary.json'}
+
+
+def test_methods_may_be_chosen_by_their_names():
+    assert list(methods_and_peers(['pc_dp', 'auto'])) == ['pc_dp', 'auto']
+    assert methods_and_peers(['auto']) == {'auto': METHODS['auto']}
+    with pytest.raises(ParameterError, match="unknown method 'pc_d'; did you mean pc_dp"):
+        methods_and_peers(['pc_d'])
 
 
 def test_a_folder_without_recordings_is_refused(tmp_path):

@@ -194,4 +194,4 @@ def _draw(figure: Any, levels: Mapping[tuple[str, float | None], Sequence[Row]])
 SUITE = Suite(
     'Recordings with truth in the folder --data, as they are and with noise added to SNR 4 to 1.5 '
     '(N times, 1 unless told): frames followed, false trajectories, P_d and F_a by pixels, time.',
-    run_real, needs_data=True, runs=1)
+    run_real, needs_data=True, runs=1, methods=methods_and_peers)
