@@ -1,11 +1,12 @@
 """The processor cores that this process may use, and long work shared out over them."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 import os
 import queue
 import threading
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 _Item = TypeVar('_Item')
 _Result = TypeVar('_Result')
@@ -142,6 +143,59 @@ def ahead(items: Iterable[_Item]) -> Generator[_Item]:
     finally:
         ended.set()
         wanted.release()
+
+
+class OwnThread(ABC, Generic[_Item]):
+    """Works in a thread of its own on what it is handed, of which no more than one waits.
+
+    Attributes
+    ----------
+    next : object or None
+        What waits.
+    changed : Condition
+        Guards it and ``closed``, and is notified of both.
+    closed : bool
+        Whether the thread is asked to end.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.changed = threading.Condition()
+        self.closed = False
+        self.next: _Item | None = None
+        self._thread = threading.Thread(target=self.run, name=name, daemon=True)
+
+    @abstractmethod
+    def run(self) -> None:
+        """Work on what is taken, until there is nothing more."""
+
+    def hand_over(self, item: _Item) -> None:
+        """Have this done next, in place of what waits; the first starts the thread."""
+        with self.changed:
+            if self.closed:
+                return
+            if self._thread.ident is None:
+                self._thread.start()
+            self.next = item
+            self.changed.notify_all()
+
+    def take(self) -> _Item | None:
+        """Return what is next as soon as it is there, None when the thread is to end."""
+        with self.changed:
+            self.changed.wait_for(lambda: self.closed or self.next is not None)
+            item, self.next = self.next, None
+            return None if self.closed else item
+
+    def close(self) -> None:
+        """Ask the thread to end with what it is doing, and let go of whoever waits."""
+        with self.changed:
+            self.closed = True
+            self.changed.notify_all()
+
+    def join(self, timeout_s: float) -> bool:
+        """Wait for the end of the thread; return whether it came in time."""
+        if self._thread.is_alive():
+            self._thread.join(timeout_s)
+        return not self._thread.is_alive()
 
 
 def exit_at_once_is_needed() -> bool:

@@ -13,7 +13,7 @@ from track_before_detect.ros.diagnostics import (  # noqa: E402
     Warnings,
 )
 from track_before_detect.ros.frame_queue import Counters  # noqa: E402
-from track_before_detect.ros.worker import Status  # noqa: E402
+from track_before_detect.ros.search_results import Status  # noqa: E402
 
 
 def status_of(status, warnings):

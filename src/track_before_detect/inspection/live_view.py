@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.inspection.observation import strongest
+from track_before_detect.inspection.batch_facts import strongest
 from track_before_detect.option_models import psf_of
 from track_before_detect.preprocess.whiteness import matched_statistic
 from track_before_detect.recordings.overlay import (

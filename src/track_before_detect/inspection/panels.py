@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.inspection.observation import MOST_LAGS, Observation
+from track_before_detect.inspection.batch_facts import MOST_LAGS
+from track_before_detect.inspection.observation import Observation
 from track_before_detect.preprocess.resampling import warped_frames
 from track_before_detect.preprocess.whiteness import matched_statistic
 from track_before_detect.recordings.overlay import (

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-import threading
 import time
 from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
 from track_before_detect.options import DetectorOptions
+from track_before_detect.parallel import OwnThread
 from track_before_detect.ros.frame_queue import StreamRequest
 from track_before_detect.tracking.presets import Choice
 from track_before_detect.tracking.recording import BatchPipeline
@@ -52,20 +52,8 @@ class LeftError(Exception):
 class Wanted:
     """What is to be prepared, and for which frames.
 
-    Attributes
-    ----------
-    request : StreamRequest
-        What was asked for.
-    frames : array, shape (T, H, W)
-        The first of the stream, by which the rest is chosen.
-    taken : array of int, shape (T,), or None
-        Which of several sensors took them.
-    shape : tuple of int
-        Height and width.
-    interval_s : float
-        Between frames.
-    earlier : StreamPipeline
-        From which ids are taken over.
+    The options are what ``request`` chooses by the first ``frames`` of the stream, ``taken`` by
+    which sensor; ``earlier`` is the pipeline from which ids are taken over.
     """
 
     request: StreamRequest
@@ -78,33 +66,16 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A search that is ready, or why there is none.
-
-    Attributes
-    ----------
-    wanted : Wanted
-        What it was prepared for.
-    choice : Choice or None
-        Its options.
-    pipeline : StreamPipeline or None
-        Compiled and calibrated.
-    threshold : float
-        On the statistic.
-    seconds : float
-        That it took.
-    error : Exception or None
-        Why it cannot be used.
-    """
+    """A search that is ready, for what it was wanted, and the seconds that it took."""
 
     wanted: Wanted
-    choice: Choice | None = None
-    pipeline: StreamPipeline | None = None
-    threshold: float = float('nan')
-    seconds: float = 0.0
-    error: Exception | None = None
+    choice: Choice
+    pipeline: StreamPipeline
+    threshold: float
+    seconds: float
 
 
-class Beside:
+class Beside(OwnThread[Wanted]):
     """Prepares, in a thread of its own, what was asked for last.
 
     Parameters
@@ -114,80 +85,55 @@ class Beside:
     on_progress : callable
         Takes a label and the share done; runs in the thread, like the next.
     on_done : callable
-        Takes a :class:`Prepared`.
+        Takes a :class:`Prepared`, or why there is none.
     """
 
     def __init__(self, make_pipeline: MakePipeline, on_progress: Progress,
-                 on_done: Callable[[Prepared], None]):
+                 on_done: Callable[[Prepared | Exception], None]):
+        super().__init__('preparing')
         self._make_pipeline = make_pipeline
         self._on_progress = on_progress
         self._on_done = on_done
-        self._changed = threading.Condition()
-        self._wanted: Wanted | None = None
-        self._dropped = self._closed = False
+        self._dropped = False
         self._began_s = 0.0
-        self._thread = threading.Thread(target=self._run, name='preparing', daemon=True)
-
-    def ask(self, wanted: Wanted) -> None:
-        """Ask for a preparation in place of what was asked for before."""
-        with self._changed:
-            if self._closed:
-                return
-            if not self._thread.is_alive():
-                self._thread.start()
-            self._wanted = wanted
-            self._changed.notify()
 
     def drop(self) -> None:
         """Ask for nothing any more."""
-        with self._changed:
-            self._wanted, self._dropped = None, True
+        with self.changed:
+            self.next, self._dropped = None, True
 
-    def close(self) -> None:
-        """Ask the thread to end."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
-
-    def join(self, timeout_s: float) -> bool:
-        """Wait for the end of the thread; return whether it came in time."""
-        if self._thread.is_alive():
-            self._thread.join(timeout_s)
-        return not self._thread.is_alive()
-
-    def _run(self) -> None:
+    def run(self) -> None:
+        """Prepare what is wanted."""
         while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._wanted is not None)
-                if self._closed:
-                    return
-                wanted, self._wanted, self._dropped = self._wanted, None, False
-            assert wanted is not None
+            with self.changed:
+                wanted, self._dropped = self.take(), False
+            if wanted is None:
+                return
             self._began_s = time.monotonic()
+            done: Prepared | Exception | None = None
             try:
-                self._on_done(self._prepared(wanted))
+                done = self._prepared(wanted)
             except LeftError:
                 pass
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed, PAUSE_S)
+            except Exception as error:
+                done = error
+            if done is not None:
+                self._on_done(done)
+            with self.changed:
+                self.changed.wait_for(lambda: self.closed, PAUSE_S)
 
     def _prepared(self, wanted: Wanted) -> Prepared:
-        try:
-            choice = wanted.request.chosen(wanted.frames, wanted.taken)
-            self._progress('choosing', 1.0)
-            pipeline = self._make_pipeline(choice.options, wanted.earlier)
-            threshold = pipeline.warm_up(
-                wanted.shape, wanted.interval_s,
-                wanted.request.settings(choice.options).batch_length, self._progress)
-        except LeftError:
-            raise
-        except Exception as error:
-            return Prepared(wanted, error=error)
+        choice = wanted.request.chosen(wanted.frames, wanted.taken)
+        self._progress('choosing', 1.0)
+        pipeline = self._make_pipeline(choice.options, wanted.earlier)
+        threshold = pipeline.warm_up(
+            wanted.shape, wanted.interval_s,
+            wanted.request.settings(choice.options).batch_length, self._progress)
         return Prepared(wanted, choice, pipeline, threshold, time.monotonic() - self._began_s)
 
     def _progress(self, label: str, done: float) -> None:
-        superseded = (self._wanted is not None
+        superseded = (self.next is not None
                       and time.monotonic() - self._began_s > WORTH_FINISHING_S)
-        if self._closed or self._dropped or superseded:
+        if self.closed or self._dropped or superseded:
             raise LeftError
         self._on_progress(label, done)

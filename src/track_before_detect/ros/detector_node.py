@@ -90,7 +90,8 @@ from track_before_detect.ros.outputs.field_outputs import FieldOutputs, SCALE_PA
 from track_before_detect.ros.outputs.head import Head
 from track_before_detect.ros.outputs.seen_targets import RadarScale
 from track_before_detect.ros.parameters import NodeParameter, option_parameters, option_values
-from track_before_detect.ros.worker import StreamResult, StreamWorker
+from track_before_detect.ros.search_results import StreamResult
+from track_before_detect.ros.worker import StreamWorker
 from track_before_detect.tracking.batcher import DEFAULT_LENGTH
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.presets import AUTO, PRESETS

@@ -13,7 +13,7 @@ from std_msgs.msg import Header
 from track_before_detect.options import describe, DetectorOptions
 from track_before_detect.ros.frame_queue import Counters
 from track_before_detect.ros.intake.sensor_stream import SensorCount
-from track_before_detect.ros.worker import Status
+from track_before_detect.ros.search_results import Status
 
 WARNING_PERIOD_S = 5.0
 

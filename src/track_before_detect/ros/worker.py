@@ -5,18 +5,16 @@ here.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 import logging
 import threading
 import time
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.errors import DataError, TbdError
-from track_before_detect.options import DetectorOptions
 from track_before_detect.parallel import at_most_cores, usable_cores
 from track_before_detect.ros.beside import (
     Beside,
@@ -28,10 +26,11 @@ from track_before_detect.ros.beside import (
 from track_before_detect.ros.frame_queue import FrameQueue, StreamFrame, StreamRequest
 from track_before_detect.ros.in_turn import InTurn
 from track_before_detect.ros.intake.sensor_stream import SensorStream
+from track_before_detect.ros.search_results import Status, StreamResult
 from track_before_detect.tracking.batcher import Intake, Outcome
 from track_before_detect.tracking.pipeline import BatchSearch, TrackingPipeline
 from track_before_detect.tracking.presets import Choice
-from track_before_detect.types import Count, DetectionResult, FrameBatch
+from track_before_detect.types import Count, FrameBatch
 
 logger = logging.getLogger(__name__)
 
@@ -39,52 +38,6 @@ logger = logging.getLogger(__name__)
 FRAMES_TO_LEARN = 3
 AUTOMATIC_FLUSH_INTERVALS = 5
 AUTOMATIC_FLUSH_MINIMUM_S = 1.0
-
-
-@dataclass(frozen=True)
-class StreamResult:
-    """Trajectories of one batch.
-
-    Attributes
-    ----------
-    detection : DetectionResult
-        What was found in the batch.
-    batch : FrameBatch
-        The frames.
-    tags : dict
-        Frame index to the tag given at intake.
-    interval_s : float
-        Mean time between the frames of the batch, 0 when there is only one.
-    hop : int
-        Frames from this batch to the next.
-    """
-
-    detection: DetectionResult
-    batch: FrameBatch
-    tags: dict[int, Any]
-    interval_s: float
-    hop: int
-
-
-@dataclass
-class Status:
-    """Where the worker is and what it searches with, for diagnostics.
-
-    ``beside`` says how far the preparation of other options is while the search goes on.
-    """
-
-    state: str = 'waiting for frames'
-    detail: str = ''
-    beside: str = ''
-    threshold: float = float('nan')
-    processing_s: float = 0.0
-    longest_processing_s: float = 0.0
-    latency_s: float = 0.0
-    shape: tuple[int, int] | None = None
-    searching: bool = False
-    preset: str = ''
-    options: DetectorOptions = field(default_factory=DetectorOptions)
-    reasons: list[str] = field(default_factory=list)
 
 
 class _StopRequestedError(Exception):
@@ -508,7 +461,7 @@ class StreamWorker:
         shape = self._prepared_for
         self._beside_counts = shape is not None and not looking
         if shape is not None and self._beside_counts:
-            self._beside.ask(Wanted(
+            self._beside.hand_over(Wanted(
                 request, self._seen, self._seen_by, shape,
                 self._window.median_interval_s or self._expected[1] or 1.0, self._pipeline))
             return
@@ -524,17 +477,17 @@ class StreamWorker:
         if self._use(request, choice):
             self._prepare_or_wait(shape, interval_s)
 
-    def _switch(self, prepared: Prepared) -> None:
+    def _switch(self, prepared: Prepared | Exception) -> None:
         """Go over to a search that was prepared beside the present one, from this frame on."""
         self.status.beside = ''
         if not self._beside_counts:
             return
-        if prepared.error is not None:
+        if isinstance(prepared, Exception):
             self._failed('preparing what was changed failed, and the search goes on as before',
-                         prepared.error)
+                         prepared)
             return
         wanted, choice = prepared.wanted, prepared.choice
-        if self._looking or choice is None:
+        if self._looking:
             # Another stream has begun meanwhile, which is looked at first.
             self._reconfigure(wanted.request)
             return

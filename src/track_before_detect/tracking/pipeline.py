@@ -41,9 +41,7 @@ from track_before_detect.solvers.tiled import TiledDetector
 from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
 from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.compilation import LABEL, searches_cells, told_of_compiling
-from track_before_detect.tracking.previous_batch import map_previous_batch
-from track_before_detect.tracking.remarks import Remarks
-from track_before_detect.tracking.stitcher import Stitcher
+from track_before_detect.tracking.previous_batch import PreviousBatches
 from track_before_detect.types import (
     DetectionResult,
     FrameBatch,
@@ -143,10 +141,8 @@ class TrackingPipeline:
         self._observe = observe
         self._backgrounds = _backgrounds(options)
         self._detector = detector or detector_for(options)
-        self._stitcher: Stitcher = (
-            earlier._stitcher if earlier else Stitcher(psf_of(options).width_px))
-        self._before: list[Trajectory] = []
-        self._remarks = Remarks()
+        self._before: PreviousBatches = PreviousBatches(
+            psf_of(options).width_px, earlier._before if earlier else None)
         length, hop = options.batch_length or 0, options.hop
         self._kept = KeptFrames(max(length - (hop or hop_of(length)), 0))
         self._scale_is_known = False
@@ -271,30 +267,30 @@ class TrackingPipeline:
         rejected = [trajectory for result in results for trajectory in result.rejected]
         if len(results) > 1:
             found = _apart(found, SEPARATION * psf_of(self._options).width_px)
-        self._before = self._stitcher.link(
+        found = self._before.link(
             found, period_of(self._options, batch.frames.shape[2]),
             [trajectory for trajectory in rejected if trajectory.reason in MAY_CARRY_ON])
         status = worst_status(result.status for result in results)
         worst = next(result for result in results if result.status == status)
-        return replace(worst, trajectories=list(self._before), rejected=rejected,
+        return replace(worst, trajectories=found, rejected=rejected,
                        best_statistic=float(np.fmax.reduce(
                            [result.best_statistic for result in results])),
                        remarks=[remark for result in results for remark in result.remarks])
 
     def carried_on(self, known: list[Trajectory], weaker: list[Trajectory]) -> list[Trajectory]:
         """Return the rejected candidates that carry on trajectories; see :class:`Stitcher`."""
-        return self._stitcher.carried_on(
+        return self._before.stitcher.carried_on(
             known, [trajectory for trajectory in weaker if trajectory.reason in MAY_CARRY_ON])
 
     def _search(self, batch: FrameBatch, prepared: PreparedBatch, background: str,
                 progress: Progress | None) -> DetectionResult:
         """Find the trajectories beside one background, without ids."""
-        remarks = self._remarks.new(prepared.remarks)
+        remarks = self._before.remarks.new(prepared.remarks)
         if not np.isfinite(prepared.frames).any():
             return DetectionResult([], 0.0, remarks=remarks)
         middle = prepared.frames[len(batch) // 2]
         self._check_scale(middle)
-        earlier = map_previous_batch(self._before, prepared.frame_indices, prepared.maps)
+        earlier = self._before.paths(prepared.frame_indices, prepared.maps)
         result = self._detector.detect(
             FrameBatch(prepared.frames, prepared.stamps, prepared.frame_indices, prepared.scene),
             prepared.weights, earlier, progress)
@@ -310,16 +306,14 @@ class TrackingPipeline:
         if result.status == 'not_noise':
             words = ('frames pass the threshold nearly everywhere, as noise never does, and are '
                      f'not searched: {self._what_to_set(middle)}')
-            remarks += self._remarks.new([Remark('not_noise', words)])
+            remarks += self._before.remarks.new([Remark('not_noise', words)])
         return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
                                result.best_statistic, rejected=rejected, remarks=remarks,
                                threshold_source=self._detector.threshold_source)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
-        self._stitcher.reset()
-        self._before = []
-        self._remarks = Remarks()
+        self._before.reset()
 
     def _check_scale(self, frame: NDArray) -> None:
         """Say once when frames taken to have a noise of one cannot have."""

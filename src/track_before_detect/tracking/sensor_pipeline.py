@@ -20,10 +20,8 @@ from track_before_detect.solvers.greedy import GreedyDetector
 from track_before_detect.solvers.path_detector import PathDetector
 from track_before_detect.tracking.compilation import LABEL, told_of_compiling
 from track_before_detect.tracking.pipeline import BatchSearch
-from track_before_detect.tracking.previous_batch import map_previous_batch
-from track_before_detect.tracking.remarks import Remarks
+from track_before_detect.tracking.previous_batch import PreviousBatches
 from track_before_detect.tracking.sensors import Sensor, SensorPlane
-from track_before_detect.tracking.stitcher import Stitcher
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, Remark, Trajectory
 
 # Frames of unit noise, weights of pixels, the unit of amplitudes, and remarks.
@@ -38,12 +36,8 @@ class SensorPipeline:
     ----------
     plane : SensorPlane
         What the sensors see together; which of them took a frame is said by the batches.
-    options : DetectorOptions
-        What to look for and how.
-    earlier : SensorPipeline, optional
-        Pipeline that this one takes over from, with the identities it knows.
-    detector : PathDetector, optional
-        The detector that the options name unless given.
+    options, earlier, detector
+        As of :class:`TrackingPipeline`.
     """
 
     stamps_may_repeat = True
@@ -54,10 +48,8 @@ class SensorPipeline:
         self._plane = plane
         self._options = options
         self._detector = detector or DETECTORS[options.detector](options, plane.measurement)
-        self._stitcher: Stitcher = (
-            earlier._stitcher if earlier else Stitcher(plane.measurement.width_px))
-        self._before: list[Trajectory] = []
-        self._remarks = Remarks()
+        self._before: PreviousBatches = PreviousBatches(
+            plane.measurement.width_px, earlier._before if earlier else None)
 
     def warm_up(self, shape: tuple[int, int], interval_s: float, n_frames: int,
                 progress: Progress | None = None) -> float:
@@ -106,19 +98,17 @@ class SensorPipeline:
         on_plane = np.tile(geometry.translations(self._plane.origin[None]), (len(batch), 1, 1))
         result = self._detector.detect(
             whole, None if np.all(weights == 1) else weights,
-            map_previous_batch(self._before, batch.frame_indices, on_plane), progress)
-        self._before = self._stitcher.link(
+            self._before.paths(batch.frame_indices, on_plane), progress)
+        linked = self._before.link(
             [self._on_plane(found, units, batch) for found in result.found])
-        return DetectionResult(list(self._before), result.threshold, result.status,
+        return DetectionResult(linked, result.threshold, result.status,
                                result.history, result.gap, result.best_statistic,
                                remarks=remarks,
                                threshold_source=self._detector.threshold_source)
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
-        self._stitcher.reset()
-        self._before = []
-        self._remarks = Remarks()
+        self._before.reset()
 
     def _prepared(self, batch: FrameBatch) -> _Prepared:
         """Return frames of unit noise, weights of pixels, the unit of amplitudes, and remarks."""
@@ -138,10 +128,10 @@ class SensorPipeline:
             except TooFewFramesError as error:
                 # It has begun or ended to send; the others go on.
                 refused = error
-                remarks += self._remarks.new([Remark(
+                remarks += self._before.remarks.new([Remark(
                     f'{sensor} left out', f'sensor {sensor}: {error}; its frames are left out')])
                 continue
-            remarks += self._remarks.new(
+            remarks += self._before.remarks.new(
                 Remark(f'{sensor} {one.kind}', f'sensor {sensor}: {one.text}', one.frames)
                 for one in own.remarks)
             height, width = plane.shapes[sensor]

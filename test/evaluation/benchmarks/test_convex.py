@@ -9,12 +9,7 @@ from canned import quiet
 from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.evaluation.benchmarks import convex, dp, fit
 from track_before_detect.evaluation.benchmarks.numpy_merit import numpy_merit_functions
-from track_before_detect.evaluation.benchmarks.path_search import (
-    GRID_SHAPE,
-    measure_search,
-    search_rows,
-    SEARCHES,
-)
+from track_before_detect.evaluation.benchmarks.path_search import GRID_SHAPE, search_rows, SEARCHES
 from track_before_detect.evaluation.benchmarks.registry import bench_named, BENCHES
 from track_before_detect.evaluation.engine.machine import describe_machine
 from track_before_detect.runs.own_process import in_own_process
@@ -58,7 +53,7 @@ def test_rates_and_ratios_agree_with_the_times(measured):
 
 
 def test_search_alone_is_measured_frame_by_frame_and_in_segments():
-    searches = [measure_search(dataclasses.replace(case, grid_shape=(20, 50)), 2)
+    searches = [dataclasses.replace(case, grid_shape=(20, 50)).measure_here(2)
                 for case in SEARCHES]
     by_frame, by_segment = searches
     assert by_frame['n_segments'] == by_frame['n_frames'] and by_frame['n_velocities'] == 25

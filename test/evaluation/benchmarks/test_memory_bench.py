@@ -2,11 +2,11 @@
 
 import dataclasses
 
-from track_before_detect.evaluation.benchmarks.memory import BENCH, Case, measure_case
+from track_before_detect.evaluation.benchmarks.memory import BENCH, Case
 
 
 def test_time_and_memory_are_measured_with_all_states_and_with_few():
-    cases = [measure_case(Case((40, 50), 1.0, memory), 1) for memory in (1000.0, 0.05)]
+    cases = [Case((40, 50), 1.0, memory).measure_here(1) for memory in (1000.0, 0.05)]
     assert [case['n_trajectories'] for case in cases][:1] * 2 == [
         case['n_trajectories'] for case in cases]
     for case in cases:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from track_before_detect.evaluation.benchmarks.tiles import BENCH, Case, measure_case, planted
+from track_before_detect.evaluation.benchmarks.tiles import BENCH, Case, planted
 
 
 def test_targets_lie_across_every_seam_and_corner_of_the_tiles():
@@ -14,7 +14,7 @@ def test_targets_lie_across_every_seam_and_corner_of_the_tiles():
 
 
 def test_each_is_found_once_and_what_that_took_is_told():
-    case = measure_case(Case(64, 32), 1)
+    case = Case(64, 32).measure_here(1)
     assert case['n_targets'] == case['n_found_once'] == 5
     assert case['detection']['cpu_s']['min'] > 0 and case['peak_memory_bytes'] > 1e7
     text = '\n'.join(BENCH.lines({'cases': [case], 'repeats': 1}))

@@ -13,7 +13,7 @@ from std_msgs.msg import Header  # noqa: E402
 from track_before_detect.options import DetectorOptions  # noqa: E402
 from track_before_detect.ros import conversions  # noqa: E402
 from track_before_detect.ros.outputs.head import Head, State  # noqa: E402
-from track_before_detect.ros.worker import StreamResult  # noqa: E402
+from track_before_detect.ros.search_results import StreamResult  # noqa: E402
 from track_before_detect.simulation.sensor import add_target  # noqa: E402
 from track_before_detect.tracking.pipeline import TrackingPipeline  # noqa: E402
 from track_before_detect.types import DetectionResult, FrameBatch, Trajectory  # noqa: E402

@@ -1,11 +1,13 @@
 """How every bench of ``tbd bench`` is carried out and printed."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.engine.machine import describe_machine, machine_line
+from track_before_detect.runs.own_process import in_own_process
 from track_before_detect.types import Progress
 
 # Of all frames that are measured.
@@ -17,6 +19,18 @@ class Case(Protocol):
 
     def measure(self, repeats: int) -> dict[str, Any]:
         """Return plain numbers, from so many measurements of each stage."""
+
+
+class CaseApart(ABC):
+    """What is measured in a process of its own, so that its peak memory is its own."""
+
+    def measure(self, repeats: int) -> dict[str, Any]:
+        """Measure it there; see :class:`Case`."""
+        return in_own_process(self.measure_here, repeats)
+
+    @abstractmethod
+    def measure_here(self, repeats: int) -> dict[str, Any]:
+        """Measure it in this process."""
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,14 @@ import dataclasses
 from typing import Any
 
 from track_before_detect.evaluation.benchmarks import path_search
-from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
+from track_before_detect.evaluation.benchmarks.bench import Bench, CaseApart, SEED
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.models.amplitudes import amplitude_model
 from track_before_detect.models.measurement.base import grid_shape
 from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.options import DetectorOptions
-from track_before_detect.runs.own_process import in_own_process, peak_memory
+from track_before_detect.runs.own_process import peak_memory
 from track_before_detect.simulation.scenarios import simulate, SimulatedRecording
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.viterbi_table import RowThreads, ViterbiTable
@@ -25,16 +25,37 @@ from track_before_detect.types import FrameBatch
 
 
 @dataclasses.dataclass(frozen=True)
-class Case:
+class Case(CaseApart):
     """One batch that is searched; fields as in the scenarios of the simulation."""
 
     name: str
     scenario: str
     overrides: Mapping[str, Any] = dataclasses.field(default_factory=dict)
 
-    def measure(self, repeats: int) -> dict[str, Any]:
-        """Measure it in a process of its own."""
-        return in_own_process(measure_case, self, repeats)
+    def measure_here(self, repeats: int) -> dict[str, Any]:
+        """Measure it in this process."""
+        made = simulate(self.scenario, SEED, **self.overrides)
+        options = DetectorOptions(psf_sigma_px=made.scenario.psf_sigma_px)
+        # Compilation and calibration are not what a warm batch costs.
+        TrackingPipeline(options).warm_up(
+            made.frames.shape[1:], 1 / made.scenario.fps, len(made.frames))
+        # One after the other, so that the tables of the first are gone when the second makes
+        # its own.
+        detection = _measure_detection(made, options, repeats)
+        stages = _measure_stages(made, options, repeats)
+        volume_copy = stages['layer_copy']['wall_s']['min'] * len(made.frames)
+        stages['over_volume_copy']['detection'] = (
+            detection['detection']['wall_s']['min'] / volume_copy)
+        return {
+            'name': self.name,
+            'scenario': self.scenario,
+            'overrides': dict(self.overrides),
+            'n_frames': len(made.frames),
+            'height_px': made.frames.shape[1],
+            'width_px': made.frames.shape[2],
+            **detection,
+            **stages,
+        }
 
 
 _SCENES: tuple[tuple[str, str, dict[str, Any]], ...] = (
@@ -55,31 +76,6 @@ def cases(large: bool) -> dict[str, Sequence[Case | path_search.SearchCase]]:
     scenes = [Case(name, scenario, {'height': height, 'width': width, 'n_frames': 20, **overrides})
               for (height, width), scenes in sizes for name, scenario, overrides in scenes]
     return {'cases': scenes, 'searches': path_search.SEARCHES if large else ()}
-
-
-def measure_case(case: Case, repeats: int) -> dict[str, Any]:
-    """Measure one case in this process."""
-    made = simulate(case.scenario, SEED, **case.overrides)
-    options = DetectorOptions(psf_sigma_px=made.scenario.psf_sigma_px)
-    # Compilation and calibration are not what a warm batch costs.
-    TrackingPipeline(options).warm_up(
-        made.frames.shape[1:], 1 / made.scenario.fps, len(made.frames))
-    # One after the other, so that the tables of the first are gone when the second makes its own.
-    detection = _measure_detection(made, options, repeats)
-    stages = _measure_stages(made, options, repeats)
-    volume_copy = stages['layer_copy']['wall_s']['min'] * len(made.frames)
-    stages['over_volume_copy']['detection'] = (
-        detection['detection']['wall_s']['min'] / volume_copy)
-    return {
-        'name': case.name,
-        'scenario': case.scenario,
-        'overrides': dict(case.overrides),
-        'n_frames': len(made.frames),
-        'height_px': made.frames.shape[1],
-        'width_px': made.frames.shape[2],
-        **detection,
-        **stages,
-    }
 
 
 def _measure_detection(made: SimulatedRecording, options: DetectorOptions,

@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
+from track_before_detect.evaluation.benchmarks.bench import Bench, CaseApart, SEED
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.options import DetectorOptions
-from track_before_detect.runs.own_process import in_own_process, peak_memory
+from track_before_detect.runs.own_process import peak_memory
 from track_before_detect.simulation.scenarios import simulate
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.search.memory import BYTES_PER_GB
@@ -27,52 +27,48 @@ THRESHOLD = 8.0
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(CaseApart):
     """Six targets in frames of a size, which may be fast, and the memory of their search."""
 
     shape: tuple[int, int]
     max_speed_px_s: float
     max_memory_gb: float
 
-    def measure(self, repeats: int) -> dict[str, Any]:
-        """Measure it in a process of its own."""
-        return in_own_process(measure_case, self, repeats)
+    def measure_here(self, repeats: int) -> dict[str, Any]:
+        """Measure it in this process."""
+        height, width = self.shape
+        made = simulate('three_targets', SEED, height=height, width=width, n_frames=20,
+                        n_targets=6, snr=5.0)
+        options = DetectorOptions(
+            psf_sigma_px=made.scenario.psf_sigma_px, threshold=THRESHOLD,
+            max_speed_px_s=self.max_speed_px_s * made.scenario.fps,
+            max_memory_gb=self.max_memory_gb)
+        detector = ConvexDetector(options)
+        before = peak_memory()
+        batch = FrameBatch.of(made.frames, made.stamps)
+        result = detector.detect(batch)
+        [detection] = timed([lambda: detector.detect(batch)], repeats)
+        peak = peak_memory()
+        graph = detector.graph(made.stamps, self.shape)
+        shape = detector.task(batch, THRESHOLD).search.grid_shape
+        table = ViterbiTable(graph, shape, most_bytes=(
+            math.inf if self.max_memory_gb == ALL_GB else 0.0))
+        scores = np.random.default_rng(SEED).exponential(size=(graph.n_frames, *shape))
+        scores = scores.astype(np.float32)
+        table.fill(scores)
+        [filling] = timed([lambda: table.fill(scores)], repeats)
+        return {
+            'height_px': height, 'width_px': width, 'max_speed_px_per_frame': self.max_speed_px_s,
+            'max_memory_gb': self.max_memory_gb, 'n_segments': graph.n_segments,
+            'n_velocities': graph.n_velocities, 'all_states_bytes': table_bytes(graph, shape),
+            'n_trajectories': len(result.found), 'peak_memory_bytes': peak,
+            'peak_memory_before_bytes': before, 'detection': summary(detection),
+            'fill': summary(filling)}
 
 
 CASES = tuple(Case(shape, speed, memory)
               for shape, speed, little in (((206, 320), 4.0, 0.7), ((1024, 1024), 1.0, 1.0))
               for memory in (ALL_GB, little))
-
-
-def measure_case(case: Case, repeats: int) -> dict[str, Any]:
-    """Measure one case in this process."""
-    height, width = case.shape
-    made = simulate('three_targets', SEED, height=height, width=width, n_frames=20, n_targets=6,
-                    snr=5.0)
-    options = DetectorOptions(
-        psf_sigma_px=made.scenario.psf_sigma_px, threshold=THRESHOLD,
-        max_speed_px_s=case.max_speed_px_s * made.scenario.fps, max_memory_gb=case.max_memory_gb)
-    detector = ConvexDetector(options)
-    before = peak_memory()
-    batch = FrameBatch.of(made.frames, made.stamps)
-    result = detector.detect(batch)
-    [detection] = timed([lambda: detector.detect(batch)], repeats)
-    peak = peak_memory()
-    graph = detector.graph(made.stamps, case.shape)
-    shape = detector.task(batch, THRESHOLD).search.grid_shape
-    table = ViterbiTable(graph, shape, most_bytes=(
-        math.inf if case.max_memory_gb == ALL_GB else 0.0))
-    scores = np.random.default_rng(SEED).exponential(size=(graph.n_frames, *shape))
-    scores = scores.astype(np.float32)
-    table.fill(scores)
-    [filling] = timed([lambda: table.fill(scores)], repeats)
-    return {
-        'height_px': height, 'width_px': width, 'max_speed_px_per_frame': case.max_speed_px_s,
-        'max_memory_gb': case.max_memory_gb, 'n_segments': graph.n_segments,
-        'n_velocities': graph.n_velocities, 'all_states_bytes': table_bytes(graph, shape),
-        'n_trajectories': len(result.found), 'peak_memory_bytes': peak,
-        'peak_memory_before_bytes': before, 'detection': summary(detection),
-        'fill': summary(filling)}
 
 
 def _lines(measured: Mapping[str, Any]) -> list[str]:

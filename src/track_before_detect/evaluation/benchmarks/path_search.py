@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from track_before_detect.evaluation.benchmarks.bench import SEED
+from track_before_detect.evaluation.benchmarks.bench import CaseApart, SEED
 from track_before_detect.evaluation.engine.timing import summary, timed
 from track_before_detect.models.motion.state_graph import build_state_graph, StateGraph
-from track_before_detect.runs.own_process import in_own_process
 from track_before_detect.solvers.search.viterbi_table import ViterbiTable
 
 # Positions, and frames of a search frame by frame; fewer than a batch has, for memory.
@@ -68,39 +67,35 @@ def compared(graph: StateGraph, grid_shape: tuple[int, int], stages: Mapping[str
 
 
 @dataclasses.dataclass(frozen=True)
-class SearchCase:
+class SearchCase(CaseApart):
     """A search of random scores, frame by frame or in segments."""
 
     name: str
     n_frames: int
     grid_shape: tuple[int, int] = GRID_SHAPE
 
-    def measure(self, repeats: int) -> dict[str, Any]:
-        """Measure it in a process of its own."""
-        return in_own_process(measure_search, self, repeats)
+    def measure_here(self, repeats: int) -> dict[str, Any]:
+        """Measure it in this process."""
+        stamps = np.arange(float(self.n_frames))
+        if self.n_frames == N_FRAMES:
+            graph = build_state_graph(stamps, step_px=1.0, max_speed=2.4, max_acceleration=3.0,
+                                      turn_cost=3.0)
+            graph = dataclasses.replace(graph, reach=1)
+        else:
+            graph = build_state_graph(stamps, step_px=0.5, max_speed=1.0, max_acceleration=1 / 30,
+                                      turn_cost=3.0)
+        scores = np.random.default_rng(SEED).exponential(size=(self.n_frames, *self.grid_shape))
+        scores = scores.astype(np.float32)
+        table = ViterbiTable(graph, self.grid_shape)
+        table.fill(scores)
+        search, layer = timed(
+            [lambda: table.fill(scores), copying(graph, self.grid_shape)], repeats)
+        return {'name': self.name, 'n_frames': self.n_frames, 'reach': graph.reach,
+                **compared(graph, self.grid_shape, {'path_search': search}, layer)}
 
 
 SEARCHES = (SearchCase('25 velocities, segments of one frame', N_FRAMES),
             SearchCase('69 velocities, segments of seven frames', 20))
-
-
-def measure_search(case: SearchCase, repeats: int) -> dict[str, Any]:
-    """Measure one search in this process."""
-    stamps = np.arange(float(case.n_frames))
-    if case.n_frames == N_FRAMES:
-        graph = build_state_graph(stamps, step_px=1.0, max_speed=2.4, max_acceleration=3.0,
-                                  turn_cost=3.0)
-        graph = dataclasses.replace(graph, reach=1)
-    else:
-        graph = build_state_graph(stamps, step_px=0.5, max_speed=1.0, max_acceleration=1 / 30,
-                                  turn_cost=3.0)
-    scores = np.random.default_rng(SEED).exponential(size=(case.n_frames, *case.grid_shape))
-    scores = scores.astype(np.float32)
-    table = ViterbiTable(graph, case.grid_shape)
-    table.fill(scores)
-    search, layer = timed([lambda: table.fill(scores), copying(graph, case.grid_shape)], repeats)
-    return {'name': case.name, 'n_frames': case.n_frames, 'reach': graph.reach,
-            **compared(graph, case.grid_shape, {'path_search': search}, layer)}
 
 
 def search_rows(measured: Sequence[Mapping[str, Any]]) -> list[tuple[str, ...]]:

@@ -13,14 +13,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
+from track_before_detect.evaluation.benchmarks.bench import Bench, CaseApart, SEED
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.options import DetectorOptions
 from track_before_detect.parallel import ahead
 from track_before_detect.preprocess.per_frame import KeptFrames
 from track_before_detect.preprocess.prepare import noise_of_one, pictures, PreparedBatch
-from track_before_detect.runs.own_process import in_own_process, peak_memory
+from track_before_detect.runs.own_process import peak_memory
 from track_before_detect.simulation.backdrop import backdrop
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.tracking.pipeline import BACKGROUNDS, TrackingPipeline
@@ -39,15 +39,15 @@ N_WARM = 2
 
 
 @dataclass(frozen=True)
-class Scene:
+class Scene(CaseApart):
     """A recording of frames of one size."""
 
     height: int
     width: int
 
-    def measure(self, repeats: int) -> dict[str, Any]:
-        """Measure it in a process of its own."""
-        return in_own_process(measure_scene, self, repeats)
+    def measure_here(self, repeats: int) -> dict[str, Any]:
+        """Measure batches of it, and the two stages of their preprocessing once more alone."""
+        return measure_scene(self, repeats)
 
 
 def panning(scene: Scene, n_frames: int) -> NDArray[np.uint16]:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.evaluation.benchmarks.bench import Bench, SEED
+from track_before_detect.evaluation.benchmarks.bench import Bench, CaseApart, SEED
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.evaluation.engine.timing import in_ms, summary, timed
 from track_before_detect.options import DetectorOptions
-from track_before_detect.runs.own_process import in_own_process, peak_memory
+from track_before_detect.runs.own_process import peak_memory
 from track_before_detect.simulation.sensor import add_target
 from track_before_detect.solvers.search.memory import BYTES_PER_GB
 from track_before_detect.tracking.pipeline import TrackingPipeline
@@ -23,15 +23,34 @@ THRESHOLD = 8.5
 
 
 @dataclass(frozen=True)
-class Case:
+class Case(CaseApart):
     """Square frames of noise and targets, and the side of a tile."""
 
     side_px: int
     tile_px: int
 
-    def measure(self, repeats: int) -> dict[str, Any]:
-        """Measure it in a process of its own."""
-        return in_own_process(measure_case, self, repeats)
+    def measure_here(self, repeats: int) -> dict[str, Any]:
+        """Measure it in this process."""
+        rng = np.random.default_rng(SEED)
+        frames = rng.standard_normal((N_FRAMES, self.side_px, self.side_px), dtype=np.float32)
+        truth = planted(self)
+        for track in truth:
+            for frame, (x, y) in zip(frames, track, strict=True):
+                add_target(frame, x, y, 1.0, SNR)
+
+        batch = FrameBatch.of(frames, np.arange(float(N_FRAMES)))
+
+        def search() -> DetectionResult:
+            options = DetectorOptions(tile_px=self.tile_px, threshold=THRESHOLD)
+            return TrackingPipeline(options).process(batch)
+
+        found = np.array([one.positions for one in search().trajectories])
+        peak = peak_memory()
+        [seconds] = timed([search], repeats)
+        near = [int(np.sum(np.hypot(*np.nanmean(found - track, axis=1).T) < 1)) for track in truth]
+        return {'side_px': self.side_px, 'tile_px': self.tile_px, 'n_targets': len(truth),
+                'n_found_once': near.count(1), 'n_trajectories': len(found),
+                'peak_memory_bytes': peak, 'detection': summary(seconds)}
 
 
 def cases(large: bool) -> dict[str, tuple[Case, ...]]:
@@ -50,28 +69,6 @@ def planted(case: Case) -> NDArray[np.float64]:
     velocities = SPEED_PX * np.column_stack([np.cos(angles), np.sin(angles)])
     times = np.arange(N_FRAMES) - (N_FRAMES - 1) / 2
     return np.array(places)[:, None] + times[:, None] * velocities[:, None]
-
-
-def measure_case(case: Case, repeats: int) -> dict[str, Any]:
-    """Measure one case in this process."""
-    rng = np.random.default_rng(SEED)
-    frames = rng.standard_normal((N_FRAMES, case.side_px, case.side_px), dtype=np.float32)
-    truth = planted(case)
-    for track in truth:
-        for frame, (x, y) in zip(frames, track, strict=True):
-            add_target(frame, x, y, 1.0, SNR)
-
-    def search() -> DetectionResult:
-        options = DetectorOptions(tile_px=case.tile_px, threshold=THRESHOLD)
-        return TrackingPipeline(options).process(FrameBatch.of(frames, np.arange(float(N_FRAMES))))
-
-    found = np.array([one.positions for one in search().trajectories])
-    peak = peak_memory()
-    [seconds] = timed([search], repeats)
-    near = [int(np.sum(np.hypot(*np.nanmean(found - track, axis=1).T) < 1)) for track in truth]
-    return {'side_px': case.side_px, 'tile_px': case.tile_px, 'n_targets': len(truth),
-            'n_found_once': near.count(1), 'n_trajectories': len(found),
-            'peak_memory_bytes': peak, 'detection': summary(seconds)}
 
 
 def _lines(measured: Mapping[str, Any]) -> list[str]:

@@ -18,7 +18,7 @@ from track_before_detect.ros.outputs.field_messages import (
 )
 from track_before_detect.ros.outputs.seen_targets import RadarScale, SeenTarget, targets_in
 from track_before_detect.ros.parameters import NodeParameter
-from track_before_detect.ros.worker import StreamResult
+from track_before_detect.ros.search_results import StreamResult
 
 _LOG = logging.getLogger(__name__)
 

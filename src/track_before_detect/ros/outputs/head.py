@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.options import DetectorOptions
-from track_before_detect.ros.worker import StreamResult
+from track_before_detect.ros.search_results import StreamResult
 from track_before_detect.timestamps import median_interval
 from track_before_detect.tracking.pipeline import period_of
 from track_before_detect.types import Trajectory

@@ -34,14 +34,8 @@ def place_of_cone(*place: int) -> tuple[int, ...]:
 class _Extent(NamedTuple):
     """Starts of one segment of paths that arrive at some positions, from the first of them on.
 
-    Attributes
-    ----------
-    velocities : array of int64, shape (N,)
-        Those that they may have.
-    low, high : array of int64, shape (N, 2)
-        Smallest and largest x and y by velocity.
-    height, width : int
-        Rows, and numbers of a row in whole blocks, that hold those of any velocity.
+    By velocity (N,) their smallest and largest x and y (N, 2); ``height`` rows of ``width``
+    numbers, in whole blocks, hold those of any velocity.
     """
 
     velocities: NDArray[np.int64]

@@ -68,16 +68,7 @@ SAME_WIDTHS = 1.5
 
 
 class _Line(NamedTuple):
-    """A target on a straight line.
-
-    Attributes
-    ----------
-    positions : array, shape (T, 2)
-        x and y in pixels, outside the frame as well.
-    inside : array of bool, shape (T,)
-        Frames in which it is inside.
-    statistic, snr, amplitude : float
-    """
+    """A target on a straight line: its positions (T, 2), and in which frames it is inside (T,)."""
 
     positions: NDArray[np.float64]
     inside: NDArray[np.bool_]
