@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from track_before_detect.errors import DataError, ParameterError
 
 # Time is taken for the last axis where the first two look like the sides of a picture and the last
-# is too short for one (docs/constants/checks.md).
+# is too short for one (docs/constants/outside_the_search.md).
 SHORTEST_PICTURE_PX = 64
 WIDEST_PICTURE = 2.5
 LONGEST_PICTURE = 5

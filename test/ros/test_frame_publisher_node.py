@@ -14,6 +14,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy  # n
 from sensor_msgs.msg import Image, PointCloud2  # noqa: E402
 from std_msgs.msg import Float32MultiArray  # noqa: E402
 
+from track_before_detect.recordings.encodings import multiarray_stamp  # noqa: E402
 from track_before_detect.recordings.npz import write_npz_recording  # noqa: E402
 from track_before_detect.ros import conversions  # noqa: E402
 from track_before_detect.simulation.scenarios import simulate  # noqa: E402
@@ -58,7 +59,7 @@ def test_a_file_with_wrong_stamps_is_played_to_its_end(launch, station, tmp_path
     np.testing.assert_allclose(stamps, [0.0, 10.0, 10.1, 10.2, 10.2])
 
 
-def test_a_scenario_arrives_as_plain_frames_with_its_truth(launch, station):
+def test_a_scenario_arrives_as_stamped_arrays_with_its_truth(launch, station):
     frames = station.listen(Float32MultiArray, 'frame', RELIABLE)
     truth = station.listen(Path, 'truth/path', LATCHED)
     publisher = launch(
@@ -69,8 +70,11 @@ def test_a_scenario_arrives_as_plain_frames_with_its_truth(launch, station):
     assert publisher.wait() == 0
     assert 'done: 15 frames published' in publisher.output
     simulated = simulate('three_targets', 4, n_frames=15, snr=6.0)
-    for message, frame in zip(frames, simulated.frames):
+    for message, frame, stamp_s in zip(frames, simulated.frames, simulated.stamps):
         np.testing.assert_array_equal(conversions.frame_from_multiarray(message), frame)
+        stamp = multiarray_stamp(dim.label for dim in message.layout.dim)
+        assert stamp.sec + 1e-9 * stamp.nanosec == pytest.approx(stamp_s, abs=1e-9)
+        assert stamp.frame_id == 'camera'
     for message, target in zip(truth, range(3)):
         rows = simulated.truth[simulated.truth[:, 1] == target]
         positions = [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses]

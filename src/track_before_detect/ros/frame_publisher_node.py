@@ -356,11 +356,9 @@ class FramePublisherNode(ParameterizedNode):
 
     def _publish(self, index: int) -> None:
         frame = conversions.sendable(np.asarray(self._played.frames[index]))
-        if self._as_image:
-            stamp_s = self._stamps_s(self._played.positions[index])
-            message = conversions.image_from_frame(frame, self._header(stamp_s))
-        else:
-            message = conversions.multiarray_from_frame(frame)
+        header = self._header(self._stamps_s(self._played.positions[index]))
+        message = (conversions.image_from_frame if self._as_image
+                   else conversions.multiarray_from_frame)(frame, header)
         # First, so that no frame is of the future.
         self._publish_clock()
         self._frame_publisher.publish(message)

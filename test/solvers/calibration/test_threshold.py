@@ -18,7 +18,7 @@ from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import build_state_graph
 from track_before_detect.solvers.calibration import threshold as module
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
-from track_before_detect.solvers.calibration.threshold import threshold_for
+from track_before_detect.solvers.calibration.threshold import calibrate
 from track_before_detect.solvers.search.path_search import path_search
 
 PSF = GaussianPsf(2.0)
@@ -61,22 +61,22 @@ def own_cache(tmp_path, monkeypatch):
 @pytest.mark.parametrize('rate', [0.3, 0.05])
 def test_realised_rate_in_noise_is_the_requested_one(study, shape, rate):
     n_runs = 400
-    bound = threshold_for(study, shape, rate)
+    bound = calibrate(study, shape, rate).threshold
     largest = study.searcher(shape)
     assert_rate_is_realised(lambda generator: largest(generator) > bound, rate, n_runs, 11)
 
 
 def test_threshold_falls_with_the_rate_and_rises_with_the_area(study):
-    values = [threshold_for(study, (64, 64), rate) for rate in (0.001, 0.01, 0.1, 0.4)]
+    values = [calibrate(study, (64, 64), rate).threshold for rate in (0.001, 0.01, 0.1, 0.4)]
     assert (np.diff(values) < 0).all()
-    values = [threshold_for(study, (n, n), 0.05) for n in (64, 128, 512)]
+    values = [calibrate(study, (n, n), 0.05).threshold for n in (64, 128, 512)]
     assert (np.diff(values) > 0).all()
 
 
 def test_second_calibration_comes_from_the_cache(study, own_cache, monkeypatch):
-    first = threshold_for(study, (64, 64), 0.05)
+    first = calibrate(study, (64, 64), 0.05).threshold
     monkeypatch.setattr(module, '_simulate', None)
-    assert threshold_for(study, (64, 64), 0.05) == first
+    assert calibrate(study, (64, 64), 0.05).threshold == first
 
 
 def array_file(values, claimed=None):
@@ -98,12 +98,12 @@ def array_file(values, claimed=None):
 ], ids=['empty', 'foreign', 'strings', 'zeros', 'equal', 'integers', 'few', 'nan', 'huge',
         'astronomic'])
 def test_spoilt_cache_is_named_and_made_anew(study, own_cache, caplog, content):
-    first = threshold_for(study, (64, 64), 0.05)
+    first = calibrate(study, (64, 64), 0.05).threshold
     [file] = own_cache.rglob('*.npy')
     sound = file.read_bytes()
     file.write_bytes(content)
     assert not caplog.text
-    assert threshold_for(study, (64, 64), 0.05) == first
+    assert calibrate(study, (64, 64), 0.05).threshold == first
     assert f'calibration in {file} cannot be used and is made anew' in caplog.text
     assert file.read_bytes() == sound
 
@@ -116,7 +116,7 @@ def test_without_a_home_calibrations_are_kept_among_temporary_files(study, own_c
     monkeypatch.delenv('XDG_CACHE_HOME')
     monkeypatch.setattr(module.Path, 'home', homeless)
     monkeypatch.setattr('tempfile.tempdir', str(own_cache))
-    assert threshold_for(study, (64, 64), 0.05) > 0
+    assert calibrate(study, (64, 64), 0.05).threshold > 0
     assert len(list(own_cache.rglob('noise-*.npy'))) == 1
 
 
@@ -125,7 +125,7 @@ def test_full_disk_is_said_and_lived_with(study, own_cache, caplog):
     before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (100, limit[1]))
     try:
-        assert threshold_for(study, (64, 64), 0.05) > 0
+        assert calibrate(study, (64, 64), 0.05).threshold > 0
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limit)
         signal.signal(signal.SIGXFSZ, before)
@@ -138,13 +138,13 @@ def test_cache_that_cannot_be_written_is_said_and_lived_with(study, own_cache, m
     (own_cache / 'file').write_text('')
     monkeypatch.setenv('XDG_CACHE_HOME', str(own_cache / 'file'))
     with caplog.at_level(logging.WARNING):
-        assert threshold_for(study, (64, 64), 0.05) > 0
+        assert calibrate(study, (64, 64), 0.05).threshold > 0
     assert 'could not be kept' in caplog.text
 
 
 def test_progress_rises_to_one(study, own_cache):
     seen = []
-    threshold_for(study, (64, 64), 0.05, lambda label, done: seen.append(done))
+    calibrate(study, (64, 64), 0.05, lambda label, done: seen.append(done))
     assert seen == sorted(seen) and seen[-1] == 1
 
 

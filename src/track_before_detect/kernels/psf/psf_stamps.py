@@ -29,7 +29,7 @@ from track_before_detect.kernels.psf.psf_profiles import (
 
 # A target that shows less than this share of its energy, weighed against that of a whole one at a
 # weight of one, counts as hidden: its position would be guessed from the outermost pixels
-# (docs/constants/given_paths.md).
+# (docs/constants/solvers.md).
 LEAST_SHARE = 1e-3
 
 

@@ -62,12 +62,6 @@ class Calibration(NamedTuple):
     source: str
 
 
-def threshold_for(study: NoiseStudy, shape: tuple[int, int], rate: float,
-                  progress: Progress | None = None) -> float:
-    """Return the threshold alone; see :func:`calibrate`."""
-    return calibrate(study, shape, rate, progress).threshold
-
-
 def calibrate(study: NoiseStudy, shape: tuple[int, int], rate: float,
               progress: Progress | None = None, simulate: bool = False) -> Calibration:
     """Return the threshold on the statistic for a false alarm rate.

@@ -126,7 +126,7 @@ class TargetSearch:
         A track is one with the better ones where it coincides with them in more than half of its
         pixels. A search in a wrong direction also picks up single pixels of targets it cannot
         follow; so what is left of a track without them has to have more merit per pixel than the
-        threshold asks for (docs/constants/cancellation.md).
+        threshold asks for (docs/constants/solvers.md).
         """
         tracks = sorted((track for search in searches for track in search.tracks),
                         key=lambda track: -track.value)

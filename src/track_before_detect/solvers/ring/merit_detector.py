@@ -45,10 +45,10 @@ LARGEST_JITTER = 0.25
 # extremely bright target could be followed for long.
 MOST_ROUNDS = 1000
 # Standard deviations of the PSF from a found trajectory up to which the frames are filled
-# (docs/constants/ring.md).
+# (docs/constants/solvers.md).
 FILLED_SIGMAS = 3
 # CPU seconds of a look at noise: of a pixel of one frame, and of each line that a method of second
-# order tries there; the ring forms take more (docs/constants/ring.md).
+# order tries there; the ring forms take more (docs/constants/solvers.md).
 SECONDS_PER_PIXEL = 3.5e-8
 SECONDS_PER_LINE = 9e-10
 RING_PASSES = 1.7
@@ -77,7 +77,7 @@ class MeritDetector(BatchDetector):
 
         Each round follows one maximum in each frame, wherever it is, so false trajectories are not
         in proportion to the area: their number is taken to grow as its root
-        (docs/constants/ring.md).
+        (docs/constants/solvers.md).
         """
         n_frames, v_max = len(stamps), self._v_max(stamps, shape)
         # Velocities of the first order are searched axis by axis, in no time.

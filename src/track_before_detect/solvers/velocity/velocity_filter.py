@@ -46,14 +46,14 @@ _LOG = logging.getLogger(__name__)
 MOST_ADDITIONS = 3e10
 # Share of a whole batch that border and mask have to leave of a target.
 LEAST_BATCH_SHARE = 0.1
-# Smallest share of a statistic between the grid that the grid shows (docs/constants/velocity.md).
+# Smallest share of a statistic between the grid that the grid shows (docs/constants/solvers.md).
 GRID_SHARE = 0.88
 # CPU seconds of a look at noise: of a pixel of one frame and one velocity, and for each frame of
-# refining all candidates (docs/constants/velocity.md).
+# refining all candidates (docs/constants/solvers.md).
 SECONDS_PER_SUM = 2.2e-10
 SECONDS_PER_FRAME = 5.2e-4
 # Smallest crops of noise, and the share that the fastest target may cross of one
-# (docs/constants/velocity.md).
+# (docs/constants/solvers.md).
 LEAST_CROP_PX = 64
 MOST_OF_CROP = 0.8
 # Candidates that are refined for one look at noise, and in one round of a detection.
