@@ -147,6 +147,21 @@ def test_no_folder_holds_more_files_than_can_be_looked_over(top):
     assert {folder: count for folder, count in files.items() if count > MOST_FILES} == {}
 
 
+def test_no_solver_asks_for_the_type_of_a_model():
+    models = {node.name for path in MODULES if path.relative_to(SOURCE).parts[0] == 'models'
+              for node in ast.walk(ast.parse(path.read_text(encoding='utf-8')))
+              if isinstance(node, ast.ClassDef)}
+    asked = []
+    for path in MODULES:
+        if path.relative_to(SOURCE).parts[0] == 'solvers':
+            for node in ast.walk(ast.parse(path.read_text(encoding='utf-8'))):
+                if isinstance(node, ast.Call) and ast.unparse(node.func) == 'isinstance':
+                    names = {one.id for one in ast.walk(node.args[1]) if isinstance(one, ast.Name)}
+                    asked += [(path.name, name) for name in names & models]
+    # What a caller hands to ``fit_paths`` is a model, or an array of which one is made.
+    assert {path for path, _ in asked} <= {'fit_paths.py'}
+
+
 @pytest.mark.parametrize('path', MODULES, ids=lambda path: str(path.relative_to(SOURCE)))
 def test_only_the_nodes_import_ros(path):
     ros = {name for name in imported_names(path)

@@ -135,6 +135,10 @@ class MeasurementModel(Protocol):
         """The one standard deviation of its Gaussian PSFs; None where they are no such thing."""
 
     @property
+    def is_sampled_gaussian(self) -> bool:
+        """Whether it is a Gaussian at the middle of each pixel, the same in all frames."""
+
+    @property
     def oversampling(self) -> int:
         """Grid positions per pixel that keep the loss between grid positions small."""
 

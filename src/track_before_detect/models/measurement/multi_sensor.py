@@ -88,6 +88,11 @@ class MultiSensor:
         sigmas = {psf.gaussian_sigma_px for psf in self.psfs}
         return sigmas.pop() if len(sigmas) == 1 else None
 
+    @property
+    def is_sampled_gaussian(self) -> bool:
+        """Several views of one."""
+        return False
+
     @cached_property
     def _curvature(self) -> NDArray[np.float64]:
         """Curvature of the statistic on the plane, shape (places, T, 2)."""

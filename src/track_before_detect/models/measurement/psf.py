@@ -46,6 +46,8 @@ class Psf(ABC):
     """
 
     _on_whole_pixels = False
+    # Of a Gaussian, whether it is integrated over each pixel.
+    integrated: bool = False
 
     @property
     @abstractmethod
@@ -118,6 +120,11 @@ class Psf(ABC):
     def gaussian_sigma_px(self) -> float | None:
         """Standard deviation of a Gaussian; None of any other PSF."""
         return None
+
+    @property
+    def is_sampled_gaussian(self) -> bool:
+        """Whether it is a Gaussian at the middle of each pixel."""
+        return False
 
     def profiles(self, axis: int, phase_px: float) -> tuple[NDArray, NDArray]:
         """Return the profiles around a position ``phase_px`` after a pixel centre, and slopes.
@@ -222,6 +229,11 @@ class GaussianPsf(Psf):
     def gaussian_sigma_px(self) -> float:
         """Standard deviation."""
         return self.sigma_px
+
+    @property
+    def is_sampled_gaussian(self) -> bool:
+        """Unless it is integrated over each pixel."""
+        return not self.integrated
 
     @property
     def half_width(self) -> int:

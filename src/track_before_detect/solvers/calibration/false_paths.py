@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.models.amplitudes import AmplitudeModel
-from track_before_detect.models.measurement.psf import Psf
+from track_before_detect.models.measurement.base import MeasurementModel
 from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.solvers.calibration.excursions import expected_islands
 from track_before_detect.solvers.calibration.noise_study import FalsePaths
@@ -28,7 +28,7 @@ LEVEL, TURNS = 5.0, 5
 LEAST_ROOM = 16.0
 
 
-def modelled_false_paths(graph: StateGraph, psf: Psf, model: AmplitudeModel,
+def modelled_false_paths(graph: StateGraph, psf: MeasurementModel, model: AmplitudeModel,
                          shape: tuple[int, int],
                          table: Mapping[str, Any] | None = None) -> FalsePaths | None:
     """Return how many paths of noise pass a level, None beyond the options of the table.
@@ -37,8 +37,8 @@ def modelled_false_paths(graph: StateGraph, psf: Psf, model: AmplitudeModel,
     ----------
     graph : StateGraph
         Paths over a plane whose columns end, in frames at equal intervals.
-    psf : Psf
-        A Gaussian.
+    psf : MeasurementModel
+        A Gaussian at the middle of each pixel.
     model : AmplitudeModel
         Of targets that are there in every frame.
     shape : tuple of int
@@ -68,7 +68,7 @@ def kind_of(model: AmplitudeModel) -> str:
     return type(model).__name__
 
 
-def extents(graph: StateGraph, psf: Psf) -> dict[str, float]:
+def extents(graph: StateGraph, psf: MeasurementModel) -> dict[str, float]:
     """Return what the table is bounded by: frames, px, px a frame, widths, segments and steps."""
     found = {'frames': graph.n_frames, 'psf width': psf.width_px, 'segments': graph.n_segments,
              'steps of a turn': graph.reach}
@@ -77,7 +77,7 @@ def extents(graph: StateGraph, psf: Psf) -> dict[str, float]:
     return found
 
 
-def corrections(graph: StateGraph, psf: Psf, level: float) -> dict[str, float]:
+def corrections(graph: StateGraph, psf: MeasurementModel, level: float) -> dict[str, float]:
     """Return what adds up, with the coefficients of the table, to the logarithm of a factor."""
     turns = (graph.n_segments - 1) / TURNS
     coarse = graph.step_px / psf.width_px
@@ -86,8 +86,8 @@ def corrections(graph: StateGraph, psf: Psf, level: float) -> dict[str, float]:
             'coarse travel': coarse * math.log(max(_travel(graph, psf), 1.0))}
 
 
-def straight_paths(graph: StateGraph, psf: Psf, model: AmplitudeModel, shape: tuple[int, int],
-                   level: float) -> float:
+def straight_paths(graph: StateGraph, psf: MeasurementModel, model: AmplitudeModel,
+                   shape: tuple[int, int], level: float) -> float:
     """Return how many straight paths of noise pass a level in a batch on average, by theory."""
     length = math.sqrt(2) * psf.width_px
     rooms = graph.rooms(shape) / length
@@ -95,7 +95,7 @@ def straight_paths(graph: StateGraph, psf: Psf, model: AmplitudeModel, shape: tu
                             rooms, graph.max_speed / length)
 
 
-def _travel(graph: StateGraph, psf: Psf) -> float:
+def _travel(graph: StateGraph, psf: MeasurementModel) -> float:
     """Return how far the fastest target gets in a batch, in widths of the PSF."""
     return graph.max_speed * (graph.n_frames - 1) / psf.width_px
 

@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.models.measurement.base import MeasurementModel
-from track_before_detect.models.measurement.psf import GaussianPsf
 from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchResult
@@ -108,7 +107,7 @@ class ConvexDetector(PathDetector):
                     columns: PeriodicColumns, shape: tuple[int, int]) -> FalsePaths | None:
         """Return how many paths of noise pass a level, None where only a search can tell."""
         if (self.presence is not None or graph.coupling is not None or columns.margin > 0
-                or not isinstance(measurement, GaussianPsf) or measurement.integrated):
+                or not measurement.is_sampled_gaussian):
             return None
         return modelled_false_paths(graph, measurement, self.model, shape)
 

@@ -146,10 +146,10 @@ def _numbered(paths: NDArray) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
 def _rendered(keys: NDArray, psf: GaussianPsf | ArrayPsf,
               shape: tuple[int, int]) -> tuple[NDArray, NDArray, NDArray]:
     """Return stamps, origins and shares of all places, as the kernels ``given_paths`` say."""
-    if isinstance(psf, GaussianPsf):
+    if psf.gaussian_sigma_px is not None:
         # Exact, where its splines are to 1e-7, and four times as fast.
-        return kernels.render_gaussians(keys, float(psf.sigma_px), psf.integrated, psf.half_width,
-                                        *shape)
+        return kernels.render_gaussians(keys, float(psf.gaussian_sigma_px), psf.integrated,
+                                        psf.half_width, *shape)
     optics = psf.optics()
     size = 2 * optics.half + 1
     stamps = np.empty((len(keys), size, size))
