@@ -406,9 +406,9 @@ main() {
             cd -- "$package_dir"
             # Without bytecode every node that a test starts would compile the package's modules.
             unset PYTHONDONTWRITEBYTECODE
-            # "logical" becomes one process with --pdb, which cannot reach others.
-            exec "$venv_python" -m pytest \
-                --numprocesses logical --maxprocesses 2 --dist loadfile "$@"
+            # How many "auto" means is said in test/conftest.py; with --pdb, which cannot reach
+            # others, it is this process alone.
+            exec "$venv_python" -m pytest --numprocesses auto --dist loadfile "$@"
             ;;
         build)
             setup

@@ -1,19 +1,27 @@
 """How the tests share the machine when several processes run them (pytest-xdist).
 
 A file of tests runs in one process: its tests mostly need the same compiled loops and the same
-thresholds. All tests of nodes run in one process as well; they mostly wait, so others run beside
-them. What measures time is marked ``alone``.
+thresholds. All tests of nodes run in one process as well, beside as many others as there are
+cores: they mostly wait, and go first where they do not. What measures time is marked ``alone``.
 """
 
 import fcntl
+import functools
+import os
 from pathlib import Path
 
 from hypothesis import settings
 import pytest
 
 from track_before_detect.kernels.compiled_cache import cache_folder
+from track_before_detect.parallel import usable_cores
 
 HERE = Path(__file__).parent
+# Two processes that began with detectors would both compile all their loops; the tests of the
+# loops, which come first, share them out. Nodes find compiled what the command needs, and as they
+# take longest of all that cannot be shared out they come next. Studies come last.
+ORDER = {'kernels': 0, 'cli': 1, 'ros': 2, 'evaluation': 4}
+OTHERS = 3
 
 # How long an example takes depends on what the other process does.
 settings.register_profile('shared', settings(), deadline=None)
@@ -32,11 +40,24 @@ def calibrate_on(monkeypatch, tmp_path):
     return most
 
 
+def place(item):
+    """Return where a test comes in the order of all."""
+    return ORDER.get(item.path.relative_to(HERE).parts[0], OTHERS)
+
+
 def pytest_collection_modifyitems(items):
-    # Two processes that began with detectors would both compile all their loops; the tests of the
-    # loops, which come first, share them out. Studies come last: they find them compiled.
-    order = {'kernels': 0, 'evaluation': 2}
-    items.sort(key=lambda item: order.get(item.path.relative_to(HERE).parts[0], 1))
+    items.sort(key=place)
+
+
+@functools.cache
+def let_nodes_go_first():
+    """Lower the priority of this process, once: of a core both want, a tenth is left to it."""
+    os.nice(10)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers(config):
+    return 1 + min(usable_cores(), 2)
 
 
 @pytest.hookimpl(optionalhook=True)
@@ -61,6 +82,9 @@ def pytest_runtest_protocol(item):
     if not hasattr(item.config, 'workerinput'):
         yield
         return
+    # By now the tests of nodes are under way in another process, or done in this one.
+    if place(item) > ORDER['ros']:
+        let_nodes_go_first()
     alone = item.get_closest_marker('alone') is not None
     # The first lock is held only while the second is waited for: without it tests of another
     # process could follow one another for ever before one that wants to be alone.

@@ -50,7 +50,6 @@ def end(process, *numbers):
     return time.monotonic() - began_s
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize('name', [
     'executables.detector', 'executables.frame_publisher', 'executables.recorder', 'demo'])
 def test_signals_at_any_time_after_the_start_end_it_in_time_without_a_traceback(
@@ -66,7 +65,6 @@ def test_signals_at_any_time_after_the_start_end_it_in_time_without_a_traceback(
         assert 'Traceback' not in words and 'rror' not in words, (delay_s, words)
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize('doing', ['compiling', 'calibrating'])
 def test_a_signal_ends_a_preparation(launch, tmp_path, monkeypatch, doing):
     # No threshold is in the cache or known by the model; loops are only where they are not what is
