@@ -23,6 +23,9 @@ HERE = Path(__file__).parent
 ORDER = {'kernels': 0, 'cli': 1, 'ros': 2, 'evaluation': 4}
 OTHERS = 3
 
+# Loops stay where they were compiled, wherever a test puts the user's cache.
+cache_folder()
+
 # How long an example takes depends on what the other process does.
 settings.register_profile('shared', settings(), deadline=None)
 settings.load_profile('shared')
@@ -32,8 +35,6 @@ settings.load_profile('shared')
 def calibrate_on(monkeypatch, tmp_path):
     """Return what makes a test calibrate anew, on at most so many crops of noise."""
     def most(n_crops):
-        # Loops stay where they were compiled.
-        cache_folder()
         monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
         monkeypatch.setattr(
             'track_before_detect.solvers.calibration.threshold.MOST_CROPS', n_crops)

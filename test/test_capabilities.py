@@ -1,7 +1,7 @@
 """Every option of every detector is honoured or refused, as the table of capabilities says."""
 
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import cache, lru_cache
 import itertools
 import re
 
@@ -160,6 +160,12 @@ def observed(detector, scene, options, search=one_sensor):
          trajectory.amplitudes.tolist()) for trajectory in result.trajectories])
 
 
+@cache
+def observed_before(detector, scene, options, search):
+    """Return what is observed with options, as pairs of name and value; many compare with it."""
+    return observed(detector, scene, dict(options), search)
+
+
 def refusal(detector, options, **how):
     """Return what the table refuses, or nothing."""
     try:
@@ -253,8 +259,8 @@ def assert_honoured_or_refused(detector, option, case, search):
     beside = {} if refusal(detector, case.beside, **several) else case.beside
     limits = next(one.limits for one in CAPABILITIES if detector in one.detectors)
     ignored = any(limit.option == option and case.value in limit.no_effect for limit in limits)
-    changed, before = (observed(detector, case.scene, options, search)
-                       for options in (given, beside))
+    changed = observed(detector, case.scene, given, search)
+    before = observed_before(detector, case.scene, tuple(beside.items()), search)
     if detector in case.alike:
         found, known = ([(one[0], *np.ravel(one[2])) for one in told[3]]
                         for told in (changed, before))
