@@ -52,8 +52,8 @@ def pytest_collection_modifyitems(items):
 
 @functools.cache
 def let_nodes_go_first():
-    """Lower the priority of this process, once: of a core both want, a tenth is left to it."""
-    os.nice(10)
+    """Lower the priority of this process, once: of a core both want, a quarter is left to it."""
+    os.nice(5)
 
 
 @pytest.hookimpl(optionalhook=True)

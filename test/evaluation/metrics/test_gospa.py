@@ -153,7 +153,6 @@ def test_nothing_against_something_and_nothing():
     assert trajectory_gospa([], [], cutoff_px=2, switch_px=1).distance == 0
 
 
-@pytest.mark.alone
 @pytest.mark.parametrize('n_swaps', [10, 60])
 def test_two_hundred_targets_in_two_hundred_frames_take_less_than_a_second(n_swaps):
     rng = np.random.default_rng(3)
