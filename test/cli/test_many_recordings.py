@@ -32,19 +32,23 @@ def recordings(tmp_path):
     return folder
 
 
-def run(folder, output, *more):
+def words(folder, output, *more):
+    return ['detect', str(folder / '*.np*'), '--output', str(output), *OPTIONS, *more]
+
+
+def run(*given):
     """Return exit code and what is said of errors, of a process: a cluster has its own threads."""
     program = 'import sys; from track_before_detect.cli import main; sys.exit(main(sys.argv[1:]))'
     done = subprocess.run(
-        [sys.executable, '-c', program, 'detect', str(folder / '*.np*'), '--output', str(output),
-         *OPTIONS, *more], capture_output=True, text=True, timeout=300)
+        [sys.executable, '-c', program, *words(*given)], capture_output=True, text=True,
+        timeout=300)
     return done.returncode, done.stderr
 
 
 def test_workers_find_the_same_and_a_run_begun_again_does_what_is_missing(recordings, tmp_path):
     alone, shared = tmp_path / 'alone', tmp_path / 'shared'
     workers = ('--scheduler', 'local', '--jobs', '2')
-    assert run(recordings, alone)[0] == 2
+    assert main(words(recordings, alone)) == 2
     code, said = run(recordings, shared, *workers)
     assert code == 2, said
     assert said.count('torn.npz is not a complete') == 1

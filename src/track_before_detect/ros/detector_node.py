@@ -19,18 +19,11 @@ from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import (
-    PublisherEventCallbacks,
-    QoSMessageLostInfo,
-    QoSOfferedIncompatibleQoSInfo,
-    QoSRequestedIncompatibleQoSInfo,
-    SubscriptionEventCallbacks,
-)
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
 from rclpy.qos import (
-    qos_policy_name_from_kind,
     QoSDurabilityPolicy,
     QoSProfile,
     QoSReliabilityPolicy,
@@ -77,6 +70,7 @@ from track_before_detect.ros.intake.sensor_inputs import (
 )
 from track_before_detect.ros.intake.sensor_stream import SensorCount, SensorStream
 from track_before_detect.ros.logs.library_log import LibraryLog
+from track_before_detect.ros.logs.qos_events import input_events, output_events
 from track_before_detect.ros.logs.throttled import ThrottledLog
 from track_before_detect.ros.managed_node import (
     ACTIVE,
@@ -400,36 +394,25 @@ class DetectorNode(ManagedNode):
         self.create_timer(DIAGNOSTICS_PERIOD_S, self._look_around,
                           clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-
     def _event_callbacks(self, topic: str) -> SubscriptionEventCallbacks:
-        def incompatible(event: QoSRequestedIncompatibleQoSInfo) -> None:
-            self._reception.n_incompatible += event.total_count_change
-            policy = qos_policy_name_from_kind(event.last_policy_kind)
+        def unheard(n_more: int, policy: str) -> None:
+            self._reception.n_incompatible += n_more
             self._warn(f'qos {topic}', (
                 f'a publisher on {topic!r} offers a quality of service ({policy}) that this '
                 'node cannot take, so nothing is received from it; set the parameter reliable '
                 'to what the publisher offers'))
 
-        def lost(event: QoSMessageLostInfo) -> None:
-            self._reception.n_lost += event.total_count_change
-            self._warn(f'lost {topic}', (f'{event.total_count} messages on {topic!r} were lost'
-                                          f'{larger_segment_words()}'))
+        def lost(n_more: int, n_all: int) -> None:
+            self._reception.n_lost += n_more
+            self._warn(f'lost {topic}',
+                       f'{n_all} messages on {topic!r} were lost{larger_segment_words()}')
 
-        return SubscriptionEventCallbacks(
-            incompatible_qos=incompatible, message_lost=lost, use_default_callbacks=False)
+        return input_events(lost, unheard)
 
     def _output_events(self, topic: str) -> PublisherEventCallbacks:
-        """Return what is done about events of an output.
-
-        Each kind of event costs every wait of the executor; the other defaults are left out.
-        """
-        def incompatible(event: QoSOfferedIncompatibleQoSInfo) -> None:
-            policy = qos_policy_name_from_kind(event.last_policy_kind)
-            self._warn(f'qos {topic}', (
-                f'a subscriber of {topic!r} asks for a quality of service ({policy}) that is not '
-                'offered, so it receives nothing'))
-
-        return PublisherEventCallbacks(incompatible_qos=incompatible, use_default_callbacks=False)
+        return output_events(lambda policy: self._warn(f'qos {topic}', (
+            f'a subscriber of {topic!r} asks for a quality of service ({policy}) that is not '
+            'offered, so it receives nothing')))
 
     def _take(self, read: Callable[[Any], StampedFrame], sensor: int, message: Any) -> None:
         queue = self._worker.queue

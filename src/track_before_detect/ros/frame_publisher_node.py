@@ -17,10 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.event_handler import PublisherEventCallbacks, QoSOfferedIncompatibleQoSInfo
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import (
-    qos_policy_name_from_kind,
     QoSDurabilityPolicy,
     QoSProfile,
     QoSReliabilityPolicy,
@@ -35,6 +33,7 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.ros import conversions
 from track_before_detect.ros.diagnostics import status_message
 from track_before_detect.ros.executables.ending import Ending
+from track_before_detect.ros.logs.qos_events import output_events
 from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
 from track_before_detect.ros.playback.played import open_played
 from track_before_detect.ros.playback.playhead import Playhead
@@ -209,16 +208,14 @@ class FramePublisherNode(ParameterizedNode):
                          durability=QoSDurabilityPolicy.VOLATILE)
         kind, topic = (Image, 'image') if self._as_image else (Float32MultiArray, 'frame')
 
-        def incompatible(event: QoSOfferedIncompatibleQoSInfo) -> None:
-            policy = qos_policy_name_from_kind(event.last_policy_kind)
+        def unheard(policy: str) -> None:
             self.get_logger().warning(
                 f'a subscriber of {topic!r} asks for a quality of service ({policy}) that is not '
                 'offered, so it receives nothing; set the parameter reliable to true')
 
         with self.overridable_qos():
             self._frame_publisher = self.create_publisher(
-                kind, topic, qos, event_callbacks=PublisherEventCallbacks(
-                    incompatible_qos=incompatible),
+                kind, topic, qos, event_callbacks=output_events(unheard),
                 qos_overriding_options=QoSOverridingOptions.with_default_policies())
         # Kept for those who come late: the truth is sent when playing starts or is changed.
         self._truth_publisher = self.create_publisher(Path, 'truth/path', QoSProfile(

@@ -350,7 +350,6 @@ def _middle_and_spread(frame: NDArray) -> tuple[float, float]:
     return middle, median_deviation(pixels - middle)
 
 
-
 def _check(batch: FrameBatch) -> None:
     """Refuse stamps that cannot be seconds, before anything is computed."""
     stamps = checked_stamps(batch.stamps, len(batch.frames))

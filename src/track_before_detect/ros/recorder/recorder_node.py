@@ -9,14 +9,8 @@ from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.clock import Clock, ClockType
-from rclpy.event_handler import (
-    QoSMessageLostInfo,
-    QoSRequestedIncompatibleQoSInfo,
-    SubscriptionEventCallbacks,
-)
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import (
-    qos_policy_name_from_kind,
     QoSDurabilityPolicy,
     QoSProfile,
     QoSReliabilityPolicy,
@@ -25,6 +19,7 @@ from rclpy.validate_topic_name import validate_topic_name
 
 from track_before_detect.errors import MissingExtraError, ParameterError
 from track_before_detect.ros.diagnostics import status_message, Warnings
+from track_before_detect.ros.logs.qos_events import input_events
 from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
 from track_before_detect.ros.recorder.definitions import definition, message_class
 
@@ -155,12 +150,11 @@ class RecorderNode(ParameterizedNode):
         def take(data: bytes, info: dict[str, int]) -> None:
             self._take(topic, data, info)
 
-        def lost(event: QoSMessageLostInfo) -> None:
-            self._n_lost += event.total_count_change
-            self._warn(f'lost {topic}', f'{event.total_count} messages of {topic} were lost')
+        def lost(n_more: int, n_all: int) -> None:
+            self._n_lost += n_more
+            self._warn(f'lost {topic}', f'{n_all} messages of {topic} were lost')
 
-        def incompatible(event: QoSRequestedIncompatibleQoSInfo) -> None:
-            policy = qos_policy_name_from_kind(event.last_policy_kind)
+        def unheard(_: int, policy: str) -> None:
             self._warn(f'qos {topic}', f'a publisher of {topic} that came later offers less '
                        f'({policy}) than those before, so nothing of it is recorded')
 
@@ -171,9 +165,7 @@ class RecorderNode(ParameterizedNode):
                 else QoSReliabilityPolicy.BEST_EFFORT,
                 durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if kept
                 else QoSDurabilityPolicy.VOLATILE),
-            event_callbacks=SubscriptionEventCallbacks(
-                message_lost=lost, incompatible_qos=incompatible,
-                use_default_callbacks=False), raw=True)
+            event_callbacks=input_events(lost, unheard), raw=True)
         self.get_logger().info(f'recording {topic} ({kind})')
 
     def _take(self, topic: str, data: bytes, info: dict[str, int]) -> None:
