@@ -145,7 +145,7 @@ def test_dim_targets_that_cross_are_found_as_by_the_detector_told_that_they_are_
 
 
 def test_noise_passes_as_rarely_as_asked(calibrate_on):
-    calibrate_on(800)
+    calibrate_on(400)
     detector = make_detector(DetectorOptions(
         amplitude_model='either', max_speed_px_s=0.0, false_alarm_rate=0.3))
 

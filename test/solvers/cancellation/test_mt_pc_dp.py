@@ -132,7 +132,7 @@ def test_masked_pixels_are_not_searched(detector):
 
 @pytest.mark.parametrize('detector', DETECTORS)
 def test_threshold_holds_the_false_alarm_rate_asked_for(detector, calibrate_on):
-    calibrate_on(800)
+    calibrate_on(400)
     options = DetectorOptions(psf_sigma_px=0.3, max_speed_px_s=1.0, false_alarm_rate=0.1)
     made = detector(options)
     threshold = made.threshold(STAMPS, (50, 50))

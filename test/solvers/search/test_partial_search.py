@@ -268,7 +268,7 @@ def test_range_doppler_target_may_leave():
     ('non-negative', 'fluctuating'), ('signed', 'fluctuating'), ('complex', 'fluctuating'),
     ('non-negative', 'constant')])
 def test_realised_rate_in_noise_is_the_requested_one(amplitudes, model, calibrate_on):
-    calibrate_on(800)
+    calibrate_on(400)
     n_runs, rate, shape = 300, 0.3, (48, 48)
     detector = ConvexDetector(DetectorOptions(
         psf_sigma_px=2.0, presence='partial', amplitudes=amplitudes, amplitude_model=model,

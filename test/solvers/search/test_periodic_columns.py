@@ -73,7 +73,7 @@ def test_target_over_the_seam_keeps_its_id_over_batches():
 
 
 def test_realised_rate_in_noise_is_the_requested_one(calibrate_on):
-    calibrate_on(800)
+    calibrate_on(400)
     n_runs, rate, shape = 200, 0.3, (32, 160)
     detector = ConvexDetector(DetectorOptions(
         psf_sigma_px=2.0, motion_model='range_bearing', false_alarm_rate=rate))
