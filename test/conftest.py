@@ -19,7 +19,8 @@ from track_before_detect.parallel import usable_cores
 HERE = Path(__file__).parent
 # Two processes that began with detectors would both compile all their loops; the tests of the
 # loops, which come first, share them out. Nodes find compiled what the command and preprocessing
-# need, and as they take longest of all that cannot be shared out they come next. Studies come last.
+# need; they come next, since they take longest of all that cannot be shared out. Studies come
+# last.
 ORDER = {'kernels': 0, 'cli': 1, 'preprocess': 1, 'ros': 2, 'evaluation': 4}
 OTHERS = 3
 
