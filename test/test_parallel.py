@@ -36,6 +36,19 @@ def test_a_limit_holds_while_it_is_asked_for_and_in_its_own_thread():
     assert usable_cores() == everything and seen == [everything]
 
 
+def test_a_thread_beside_the_main_one_that_has_one_core_does_the_work_itself():
+    seen = []
+
+    def work():
+        with at_most_cores(1):
+            seen.extend(map_in_threads(lambda _: threading.current_thread(), range(3)))
+
+    other = threading.Thread(target=work)
+    other.start()
+    other.join()
+    assert seen == 3 * [other]
+
+
 def test_an_error_reaches_the_caller_and_ends_the_work():
     begun = []
 

@@ -45,7 +45,8 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item],
     """Return the results for all items, a thread on each core; an error ends it at once.
 
     An interrupt (Ctrl-C) does so, too: a pool of threads would first wait for what is running,
-    and once more when the interpreter exits. Compiled loops cannot be left otherwise.
+    and once more when the interpreter exits. Compiled loops cannot be left otherwise. A thread
+    that has a single core, and is not the one that interrupts reach, does the work itself.
 
     Parameters
     ----------
@@ -55,6 +56,9 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item],
     while_waiting : callable, optional
         Called every second in this thread.
     """
+    if (usable_cores() == 1 and while_waiting is None
+            and threading.current_thread() is not threading.main_thread()):
+        return [work(item) for item in items]
     waiting: queue.SimpleQueue[tuple[int, _Item]] = queue.SimpleQueue()
     for pair in enumerate(items):
         waiting.put(pair)

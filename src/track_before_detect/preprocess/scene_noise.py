@@ -73,12 +73,25 @@ def _fitted(power: NDArray, terms: NDArray) -> NDArray[np.float64] | None:
     Each round weighs pixels by the variance of the one before, and cuts powers beyond it.
     """
     sizes = np.maximum(terms.mean(axis=0), np.finfo(float).tiny)
-    scaled = terms / sizes
+    # One term after the other: sums over all pixels are then of neighbours in memory.
+    scaled = np.ascontiguousarray((terms / sizes).T)
     variance = np.full(len(power), float(np.median(power)) / _MEDIAN_OF_SQUARES)
     for _ in range(_ROUNDS):
         if not variance[0] > 0:
             return None
         seen = _CUT * np.minimum(power, _OUTLYING**2 * variance)
-        found, _ = nnls(scaled / variance[:, None], seen / variance)
-        variance = np.maximum(scaled @ found, _LEAST_SHARE * found.sum())
+        found = _least_squares(scaled / variance, seen / variance)
+        variance = np.maximum(np.einsum('pn,p->n', scaled, found), _LEAST_SHARE * found.sum())
     return found / sizes
+
+
+def _least_squares(terms: NDArray, values: NDArray) -> NDArray[np.float64]:
+    """Return factors of at least zero by which terms (P, N) are nearest to values (N,).
+
+    By the normal equations, without BLAS: its threads would wait for cores on which the batch
+    before is searched, many times as long as these few sums take.
+    """
+    strengths, axes = np.linalg.eigh(np.einsum('pn,qn->pq', terms, terms))
+    roots = np.sqrt(np.maximum(strengths, np.finfo(float).eps * strengths[-1]))
+    right = axes.T @ np.einsum('pn,n->p', terms, values)
+    return nnls(roots[:, None] * axes.T, right / roots)[0]
