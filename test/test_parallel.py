@@ -1,5 +1,6 @@
 """Long work on all cores gives every result, and ends at once when it is interrupted."""
 
+import os
 import signal
 import threading
 import time
@@ -11,6 +12,7 @@ from track_before_detect.parallel import (
     at_most_cores,
     exit_at_once_is_needed,
     map_in_threads,
+    share_out,
     usable_cores,
 )
 
@@ -143,3 +145,38 @@ def test_a_single_core_makes_nothing_ahead():
             pass
     assert set(threads) == {threading.get_ident()}
 
+
+
+def test_work_that_is_shared_out_is_done_once_whoever_does_it():
+    done = []
+    share_out(lambda *item: done.append(item), [(n, -n) for n in range(50)], 3)
+    assert sorted(done) == [(n, -n) for n in range(50)]
+
+
+def test_nothing_more_is_begun_after_an_error_of_shared_work():
+    begun = []
+
+    def fails(n):
+        begun.append(n)
+        time.sleep(0.01)
+        raise ValueError(n)
+
+    with pytest.raises(ValueError):
+        share_out(fails, [(n,) for n in range(100)], 2)
+    assert len(begun) < 4
+
+
+def test_nobody_waits_for_helpers_that_have_not_begun():
+    release = threading.Event()
+    everybody = 4 * os.cpu_count()
+    busy = threading.Thread(
+        target=share_out, args=(lambda _: release.wait(20), [(n,) for n in range(everybody)],
+                                everybody))
+    busy.start()
+    try:
+        done = []
+        share_out(lambda n: done.append(n), [(n,) for n in range(10)], 2)
+        assert sorted(done) == list(range(10))
+    finally:
+        release.set()
+        busy.join()

@@ -2,7 +2,9 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+import functools
 import os
 import queue
 import threading
@@ -99,6 +101,50 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item],
     finally:
         ended.set()
     return [results[number] for number in range(len(items))]
+
+
+@functools.cache
+def _helpers() -> ThreadPoolExecutor:
+    """Return threads that are begun when they are needed, and kept."""
+    return ThreadPoolExecutor(os.cpu_count())
+
+
+# None of them is in a process that is forked.
+if hasattr(os, 'register_at_fork'):
+    os.register_at_fork(after_in_child=_helpers.cache_clear)
+
+
+def share_out(work: Callable[..., object], items: Iterable[Sequence[Any]],
+              n_threads: int) -> None:
+    """Call ``work(*item)`` for all items, in this thread and in others that help it.
+
+    Nobody waits for a helper that has not begun: one that finds no free core costs nothing. For
+    work of milliseconds; an interrupt waits for the items that are being worked on.
+
+    Parameters
+    ----------
+    work : callable
+    items : iterable of sequence
+        More than threads, for these to end at about the same time where one is slower.
+    n_threads : int
+        Threads, this one included.
+    """
+    waiting = iter(tuple(items))
+
+    def run() -> None:
+        for item in waiting:
+            work(*item)
+
+    helpers = [_helpers().submit(run) for _ in range(n_threads - 1)]
+    try:
+        run()
+    finally:
+        # Nothing more is begun after an error.
+        for _ in waiting:
+            pass
+        for helper in helpers:
+            if not helper.cancel():
+                helper.result()
 
 
 def ahead(items: Iterable[_Item]) -> Generator[_Item]:

@@ -46,6 +46,8 @@ FAR_BELOW = 'far below the threshold'
 # Distance of paths that count as separate, and side of the square that is set aside with each at
 # least, both in widths of the PSF.
 SEPARATION = 5.0
+# Half side of the window in which a wide target is set aside, by that square.
+AROUND = 3
 # Share of the frames in which two paths are near each other and count as one in the tail.
 TOUCHING = 0.2
 # Paths whose positions are refined to find the strongest.
@@ -100,8 +102,7 @@ class ClutterDetector(PathDetector):
                 status = 'converged'
                 break
             path = max((strongest.refined(path) for path in others[:N_REFINED]), key=strength)
-            self._set_aside(frames, path.positions)
-            strongest.without_touched()
+            strongest.without_touched(path.positions, self._set_aside(frames, path.positions))
             others = strongest.by_strength()
             if not others:
                 # Nothing is left of the frames that it could be compared with.
@@ -150,11 +151,14 @@ class ClutterDetector(PathDetector):
         return tail_behind([*statistics, *[0.0] * max(3 - len(statistics), 0)],
                            float(np.prod(shape) / reach**2), self.options.false_alarm_rate)
 
-    def _set_aside(self, frames: NDArray, positions: NDArray) -> None:
-        """Take the pixels of a path out of the frames, the whole of a wide target."""
+    def _set_aside(self, frames: NDArray, positions: NDArray) -> float:
+        """Take the pixels of a path out of the frames, the whole of a wide target.
+
+        Return how far from the path they are at most, along either axis.
+        """
         reach = SEPARATION * self.measurement.width_px
         for frame, (x, y) in zip(frames, positions, strict=True):
-            around = _window(x, y, 3 * reach, frame.shape)
+            around = _window(x, y, AROUND * reach, frame.shape)
             wide = frame[around]
             inner = np.zeros(wide.shape, bool)
             inner[tuple(slice(part.start - whole.start, part.stop - whole.start) for part, whole
@@ -163,6 +167,7 @@ class ClutterDetector(PathDetector):
             own = np.unique(parts[inner])
             slope = 2 * round(SLOPE * self.measurement.width_px) + 1
             wide[ndimage.maximum_filter(np.isin(parts, own[own > 0]), slope)] = 0
+        return AROUND * reach
 
     def _trajectory(self, task: Task, path: SignedPath, level: float,
                     reason: str = '', refiner: PathRefiner | None = None) -> FoundTrajectory:

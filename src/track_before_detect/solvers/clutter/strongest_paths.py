@@ -7,6 +7,7 @@ the two signs are searched apart, one after the other with the same tables.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.solvers.clutter.path_tail import MOST_PATHS
@@ -57,11 +58,15 @@ class StrongestPaths:
         self._search = task.search
         self._refiner = refiner
         self._separation = separation
+        # Beyond this a path sees nothing of a pixel.
+        self._sees_px = task.targets.measurement.half_width + 1
         self.frames = task.paths.frames.copy()
         self._searched = signs[-1]
         self._by_sign: dict[int, list[SignedPath]] = {}
         # Value of each sign below which there are paths that no search listed.
         self._least: dict[int, float] = {}
+        # Signs whose paths were found in the present frames.
+        self._are_new: set[int] = set()
         # Most targets are bright: what is searched last is known when one is taken.
         for sign in reversed(signs):
             self._by_sign[sign] = self._found(sign)
@@ -85,29 +90,42 @@ class StrongestPaths:
         value = self._refiner.value(frames, positions, cost)
         return SignedPath(positions, value, cost, path.sign) if value > path.value else path
 
-    def without_touched(self) -> None:
+    def without_touched(self, positions: NDArray, reach: float) -> None:
         """Take from the paths what they owed to pixels that were taken out of the frames.
 
         Paths of a sign are found anew where too few owed nothing for a tail to be told from them.
+
+        Parameters
+        ----------
+        positions : array, shape (T, 2)
+            Of the path around which they were.
+        reach : float
+            Pixels along either axis from there within which they were.
         """
+        self._are_new.clear()
         for sign, known in self._by_sign.items():
-            left = self._left(sign)
+            left = self._left(sign, positions, reach + self._sees_px)
             untouched = sum(path.value > UNTOUCHED * before.value
                             for path, before in zip(left, known, strict=True))
             self._by_sign[sign] = left if untouched >= MOST_PATHS else self._found(sign)
 
     def renew(self, sign: int) -> None:
         """Find the paths of a sign anew: beside one that is taken there may be others."""
-        self._by_sign[sign] = self._found(sign)
+        if sign not in self._are_new:
+            self._by_sign[sign] = self._found(sign)
 
     def _of_sign(self, sign: int) -> NDArray:
         """Return frames in which targets of a sign are bright."""
         return self.frames if sign > 0 else -self.frames
 
-    def _left(self, sign: int) -> list[SignedPath]:
-        """Return the paths of a sign with their values in the present frames."""
+    def _left(self, sign: int, positions: NDArray, reach: float) -> list[SignedPath]:
+        """Return the paths of a sign with their values in the present frames.
+
+        These differ from those before within reach of the positions alone.
+        """
         frames = self._of_sign(sign)
         return [replace(path, value=self._refiner.value(frames, path.positions, path.cost))
+                if (np.abs(path.positions - positions).max(axis=1) < reach).any() else path
                 for path in self._by_sign[sign]]
 
     def _found(self, sign: int) -> list[SignedPath]:
@@ -119,6 +137,7 @@ class StrongestPaths:
             # Only states that may pass the weakest are then computed anew.
             levels = [self._least[sign], 0.0]
         self._searched = sign
+        self._are_new.add(sign)
         for level in levels:
             _, found = self._search.best_paths(
                 self._of_sign(sign), level, self._separation, lambda _: True, N_PATHS)

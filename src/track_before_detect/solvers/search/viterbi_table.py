@@ -5,7 +5,6 @@ Only the states whose paths meet a change, and may pass the threshold, are then 
 """
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 import math
 from typing import Any
@@ -18,6 +17,7 @@ from track_before_detect.kernels.search import viterbi, viterbi_backtrack, viter
 from track_before_detect.kernels.search.viterbi import BLOCKS
 from track_before_detect.models.motion.state_graph import StateGraph
 from track_before_detect.models.presence import Presence
+from track_before_detect.parallel import share_out
 from track_before_detect.solvers.search.compiled_graph import (
     end_costs_of,
     layout_of,
@@ -62,9 +62,9 @@ class RowThreads:
         if self._n_threads == 1 or last - first < 2 * self._n_threads:
             work(*arguments, first, last)
             return
-        bounds = np.linspace(first, last, self._n_threads + 1).astype(int)
-        with ThreadPoolExecutor(self._n_threads) as pool:
-            list(pool.map(partial(work, *arguments), bounds[:-1], bounds[1:]))
+        bounds = np.linspace(first, last, 2 * self._n_threads + 1).astype(int)
+        share_out(partial(work, *arguments), zip(bounds[:-1], bounds[1:], strict=True),
+                  self._n_threads)
 
 
 class ViterbiTable:
