@@ -52,9 +52,17 @@ def apply(maps: NDArray, positions: NDArray) -> NDArray[np.float64]:
         NaN where a position lies on or behind the horizon of a projective map.
     """
     x, y = positions[..., 0], positions[..., 1]
-    scaled = (maps[..., 0] * x[..., None] + maps[..., 1] * y[..., None] + maps[..., 2])
-    depth = np.where(scaled[..., 2] > 0, scaled[..., 2], np.nan)
-    return scaled[..., :2] / depth[..., None]
+
+    def scaled(row: int) -> NDArray[np.float64]:
+        return maps[..., row, 0] * x + maps[..., row, 1] * y + maps[..., row, 2]
+
+    # Number by number: NumPy is slow along an axis of two or three.
+    depth = scaled(2)
+    depth = np.where(depth > 0, depth, np.nan)
+    mapped = np.empty((*depth.shape, 2))
+    for row in range(2):
+        np.divide(scaled(row), depth, out=mapped[..., row])
+    return mapped
 
 
 def slopes(maps: NDArray, positions: NDArray) -> NDArray[np.float64]:

@@ -102,12 +102,14 @@ def lasting_level(frames: NDArray, maps: NDArray, width_px: float) -> NDArray:
         return level
     # It is smooth: the nearest pixel will do.
     height, width = total.shape
-    places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+    places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(float)
+    last = width - 1, height - 1
 
     def seen(matrix: NDArray) -> NDArray:
-        at = np.rint(np.nan_to_num(geometry.apply(matrix, places))).astype(int)
-        x, y = at.transpose(2, 0, 1)
-        return level[0, np.clip(y, 0, height - 1), np.clip(x, 0, width - 1)]
+        at = np.rint(geometry.apply(matrix, places))
+        # Whatever is compared with NaN is larger.
+        x, y = np.fmin(np.fmax(at, 0), last).astype(np.intp).transpose(2, 0, 1)
+        return level[0, y, x]
 
     return np.stack([seen(matrix) for matrix in geometry.inverse(maps)])
 

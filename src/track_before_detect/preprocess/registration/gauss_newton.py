@@ -184,7 +184,7 @@ class _Problem:
         """Return the moving image at each point, how that changes, and how the point moves."""
         positions = geometry.apply(self.matrix(parameters), self._points)
         # far beyond the border everything is the last pixel
-        positions = np.clip(np.nan_to_num(positions), -9.0, self._size + 9.0)
+        positions = np.clip(np.where(np.isnan(positions), 0.0, positions), -9.0, self._size + 9.0)
         seen = _sampled(self._image, positions)
         motion = self._motion(self._points, parameters)
         return seen[:, 0], np.einsum('nk,nkp->np', seen[:, 1:], motion), motion

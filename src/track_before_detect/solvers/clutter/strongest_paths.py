@@ -103,7 +103,9 @@ class StrongestPaths:
             Pixels along either axis from there within which they were.
         """
         self._are_new.clear()
-        for sign, known in self._by_sign.items():
+        # The one whose table is at hand comes first.
+        for sign in sorted(self._by_sign, key=lambda sign: sign != self._searched):
+            known = self._by_sign[sign]
             left = self._left(sign, positions, reach + self._sees_px)
             untouched = sum(path.value > UNTOUCHED * before.value
                             for path, before in zip(left, known, strict=True))
