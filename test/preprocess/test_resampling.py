@@ -46,6 +46,18 @@ def test_warping_agrees_with_its_definition(matrix):
     np.testing.assert_allclose(warped(image, matrix), naive_warp(image, matrix), atol=1e-5)
 
 
+@pytest.mark.parametrize('matrix', [MATRIX, np.diag([1.0, -1.0, 1.0]),
+                                    np.array([[1.0, 0, 7], [0, 1, 0.4], [0.1, 0, -0.55]])])
+def test_the_nearest_pixel_is_that_on_the_border_beyond_it(matrix):
+    image = np.random.default_rng(1).normal(size=(14, 19)).astype(np.float32)
+    seen = np.empty_like(image)
+    warp.nearest(image, matrix, seen)
+    for row, column in np.ndindex(*image.shape):
+        at = np.rint(np.nan_to_num(geometry.apply(matrix, np.array([column, row]))))
+        x, y = np.clip(at, 0, (18, 13)).astype(int)
+        assert seen[row, column] == image[y, x]
+
+
 def test_a_smooth_image_is_followed():
     y, x = np.mgrid[:40, :50]
 

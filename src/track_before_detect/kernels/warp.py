@@ -95,6 +95,24 @@ def warp(image, matrix, out):
 
 
 @numba.njit(**EXACT)
+def nearest(image, matrix, out):
+    """Write to out[y, x] the pixel nearest to where ``matrix`` takes (x, y).
+
+    Beyond the border that is the last one; the first of all where the map leads nowhere.
+    """
+    height, width = image.shape
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            x, y = 0.0, 0.0
+            depth = matrix[2, 0] * column + matrix[2, 1] * row + matrix[2, 2]
+            if depth > 0:
+                x = (matrix[0, 0] * column + matrix[0, 1] * row + matrix[0, 2]) / depth
+                y = (matrix[1, 0] * column + matrix[1, 1] * row + matrix[1, 2]) / depth
+            out[row, column] = image[int(min(max(np.rint(y), 0.0), height - 1.0)),
+                                     int(min(max(np.rint(x), 0.0), width - 1.0))]
+
+
+@numba.njit(**EXACT)
 def shift(image, x, y, out):
     """Write to out[row, column] the image at (column + x, row + y), as :func:`warp` does."""
     height, width = image.shape

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from track_before_detect import geometry
+from track_before_detect.kernels import warp
 from track_before_detect.kernels.pictures.boxes import ring_level
 from track_before_detect.preprocess.background import temporal_median
 from track_before_detect.preprocess.per_frame import each_frame
@@ -101,17 +102,10 @@ def lasting_level(frames: NDArray, maps: NDArray, width_px: float) -> NDArray:
     if on_plane is frames:
         return level
     # It is smooth: the nearest pixel will do.
-    height, width = total.shape
-    places = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).astype(float)
-    last = width - 1, height - 1
-
-    def seen(matrix: NDArray) -> NDArray:
-        at = np.rint(geometry.apply(matrix, places))
-        # Whatever is compared with NaN is larger.
-        x, y = np.fmin(np.fmax(at, 0), last).astype(np.intp).transpose(2, 0, 1)
-        return level[0, y, x]
-
-    return np.stack([seen(matrix) for matrix in geometry.inverse(maps)])
+    seen = np.empty(frames.shape, np.float32)
+    each_frame(lambda out, matrix: warp.nearest(level[0], matrix, out), seen,
+               geometry.inverse(maps))
+    return seen
 
 
 def pixel_level(frames: NDArray, floor: float = 0.0) -> NDArray:

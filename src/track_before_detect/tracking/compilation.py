@@ -164,5 +164,7 @@ def _of_pictures(options: DetectorOptions) -> tuple[str, ...]:
         'pictures.matched_statistic:matched_statistic': (
             noise != 'none' and options.amplitudes != 'complex'),
         'pictures.boxes:ring_level': noise == 'local',
+        'warp:nearest': (noise == 'local' and registration != 'none' and options.background
+                         not in ('temporal_median', 'temporal_spatial_median')),
         **dict.fromkeys(_OF_SCENES, noise == 'local' and still)}
     return tuple(loop for loop, is_wanted in wanted.items() if is_wanted)

@@ -180,7 +180,9 @@ class TrackingPipeline:
             mask=None, doppler_ambiguities=0, exposure_s=min(self._options.exposure_s, 1.0))
         # Where columns go round a wide PSF needs as many.
         width = max(24, 2 * psf_of(options).half_width + 1)
-        frames = np.random.default_rng(0).standard_normal((16, 24, width)).astype(
+        # So high that not all is searched anew when a target in clutter is set aside.
+        height = 400 if options.calibration == 'clutter' else 24
+        frames = np.random.default_rng(0).standard_normal((16, height, width)).astype(
             np.float32)
         frames[:, 10:13, 10:13] += 8
         if options.amplitudes == 'complex':
