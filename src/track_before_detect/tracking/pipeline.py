@@ -57,9 +57,9 @@ MOST_SPREAD = 3.0
 # Median interval of frames beyond which stamps cannot be seconds.
 INTERVALS_S = (1e-12, 1e12)
 
-# Of a larger batch the background is taken off only when it is searched: frames without it take
-# several times the memory of those that came.
-MOST_PIXELS_AHEAD = 2**21
+# Beyond these, counted once for each background, one is taken off only when it is searched beside:
+# frames without it take several times the memory of those that came.
+MOST_PIXELS_AHEAD = 2**23
 
 # The detectors by the names in options.DETECTORS.
 DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
@@ -253,9 +253,8 @@ class TrackingPipeline:
             steps: list[Callable[[], PreparedBatch]] = [cache(partial(
                 noise_of_one, seen, batch, self._options.replace(background=background),
                 width_px, self._kept)) for background in self._backgrounds]
-            if batch.frames.size <= MOST_PIXELS_AHEAD:
-                for step in steps:
-                    step()
+            for step in steps[:MOST_PIXELS_AHEAD // max(batch.frames.size, 1)]:
+                step()
         return partial(self._find, batch, steps)
 
     def _find(self, batch: FrameBatch, steps: list[Callable[[], PreparedBatch]],
