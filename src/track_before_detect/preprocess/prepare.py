@@ -448,10 +448,11 @@ def _noise_level(prepared: PreparedBatch, options: DetectorOptions, floor: float
 
 
 def _of_unit_bulk(frames: NDArray, level: NDArray, floor: float) -> NDArray:
-    """Return a level by a factor by which the bulk of the frames has unit deviation."""
+    """Return a level, changed in place, by which the bulk of the frames has unit deviation."""
     some = np.s_[:, ::2, ::2]
     known = np.where(level[some] > 0, level[some], np.float32(np.nan))
-    return np.maximum(level * (robust_deviation(frames[some] / known) or 1.0), floor)
+    level *= robust_deviation(frames[some] / known) or 1.0
+    return np.maximum(level, floor, out=level)
 
 
 def _with_white_scale(prepared: PreparedBatch, width_px: float) -> PreparedBatch:
