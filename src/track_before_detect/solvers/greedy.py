@@ -29,8 +29,7 @@ class GreedyDetector(PathDetector):
         for _ in range(MOST_PATHS):
             if task.watch.time_is_up():
                 break
-            largest, best = task.search.best_paths(
-                paths.residual, bound, 1.0, lambda positions: True, 1)
+            largest, best = task.search.best_paths(paths.residual, bound, 1.0, 1)
             violation = model.from_value(largest) / paths.threshold - 1
             history.append(Step(0.0, paths.objective(0.0), len(paths), violation))
             if not best:

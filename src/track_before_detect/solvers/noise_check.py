@@ -94,7 +94,7 @@ def _take_off_the_best(search: PathSearch, refiner: PathRefiner, paths: WorkingS
     across = ACROSS * measurement.width_px
     cells = np.prod([max(side / across, 1.0) for side in paths.frames.shape[1:]])
     _, found = search.best_paths(
-        paths.residual, paths.model.value(paths.threshold), 0.5 * across, lambda _: True,
+        paths.residual, paths.model.value(paths.threshold), 0.5 * across,
         max(LEAST_TARGETS, int(COVERED * cells)))
     for path in found:
         if watch.time_is_up():

@@ -23,7 +23,7 @@ _OF_PATHS = (
     'psf.measurement:curvatures', 'psf.measurement:evaluate', 'psf.measurement:render_path',
     'psf.psf_stamps:correlate', 'scores.matched_filter:scores_of_frame',
     'search.viterbi:extend_paths', *(f'search.viterbi_backtrack:{name}' for name in (
-        'best_end', 'follow_back', 'leave_out', 'next_peak')),
+        'follow_back', 'leave_out', 'pick_peaks', 'trace_paths')),
     *(f'search.viterbi_update:{name}' for name in (
         'changed_states', 'count_blocks', 'largest_by_row', 'raise_stale', 'replace_scores',
         'spread_turns', 'store_scores', 'wanted_before', 'wanted_ends')))

@@ -91,7 +91,7 @@ def test_search_finds_the_best_of_all_paths(k, acceleration):
         x, y = plane.restore(positions, np.arange(len(positions))).astype(int).T
         if (y >= 0).all() and (y < shape[0]).all():
             best = max(best, plain[range(4), y, x].sum() - cost)
-    value, [found, *_] = search.best_paths(frames, 0.0, 1.0, lambda _: True, 1)
+    value, [found, *_] = search.best_paths(frames, 0.0, 1.0, 1)
     assert value == pytest.approx(best, rel=1e-4)
     x, y = found.positions.astype(int).T
     assert plain[range(4), y, x].sum() - found.cost == pytest.approx(best, rel=1e-4)

@@ -96,7 +96,7 @@ def test_best_path_is_that_of_all_paths_whatever_was_taken_off(monkeypatch, kind
     bound = scene.model.value(THRESHOLD)
     for _ in range(5):
         values = scene.every.values(paths.residual)
-        largest, found = search.best_paths(paths.residual, bound, 1.0, lambda _: True, 100)
+        largest, found = search.best_paths(paths.residual, bound, 1.0, 100)
         if values.max() > bound:
             assert largest == pytest.approx(values.max(), rel=1e-4)
             assert found[0].value == largest

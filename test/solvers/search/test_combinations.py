@@ -192,13 +192,12 @@ def test_best_path_equals_search_through_every_path(monkeypatch, seen, kind, pre
     search, frames = made.search(), made.frames
     for number in range(3):
         expected, positions = made.best(frames)
-        largest, [found] = search.best_paths(frames, expected - 0.5 * abs(expected), 1.0,
-                                              lambda _: True, 1)
+        largest, [found] = search.best_paths(frames, expected - 0.5 * abs(expected), 1.0, 1)
         assert largest == pytest.approx(expected, rel=2e-5, abs=1e-4)
         assert found.value == pytest.approx(largest, rel=1e-6)
         np.testing.assert_array_equal(found.positions, positions)
         beyond = expected + 0.01 * abs(expected)
-        largest, none = search.best_paths(frames, beyond, 1.0, lambda _: True, 1)
+        largest, none = search.best_paths(frames, beyond, 1.0, 1)
         assert not none and largest <= beyond
         if number == 1:
             assert search.best_value(frames) == pytest.approx(expected, rel=2e-5, abs=1e-4)

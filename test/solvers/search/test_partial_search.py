@@ -46,7 +46,7 @@ def test_best_path_equals_search_through_every_path_and_interval(n_frames, accel
     frames[n_frames // 2:n_frames // 2 + 2, 1:3, 2:4] += 1.5j if code == COMPLEX else 1.5
     scores = psf.scores(graph, (4, 5), model, RowThreads(4, 1)).scores(frames)
     expected, positions = best_in_any_frames(graph, scores, PRESENCE)
-    largest, [found] = search.best_paths(frames, -1e9, 1.0, lambda _: True, 1)
+    largest, [found] = search.best_paths(frames, -1e9, 1.0, 1)
     assert largest == pytest.approx(expected, rel=1e-5)
     assert found.value == pytest.approx(expected, rel=1e-5)
     np.testing.assert_array_equal(found.positions, positions)
@@ -81,12 +81,12 @@ def test_best_path_of_constant_amplitude_equals_search_through_all(n_frames, acc
         (best_in_any_frames(graph, sign * products, OF_CONSTANT, squares)
          for sign in ((1,) if code == CONSTANT else (1, -1))), key=lambda one: one[0])
     for above in (-np.inf, 0.0, 0.9 * expected):
-        largest, [found] = search.best_paths(frames, above, 1.0, lambda _: True, 1)
+        largest, [found] = search.best_paths(frames, above, 1.0, 1)
         assert largest == pytest.approx(expected, rel=1e-5)
         assert found.value == pytest.approx(expected, rel=1e-5)
         np.testing.assert_array_equal(found.positions, positions)
     assert search.best_value(frames) == pytest.approx(expected, rel=1e-5)
-    largest, none = search.best_paths(frames, 1.01 * expected, 1.0, lambda _: True, 1)
+    largest, none = search.best_paths(frames, 1.01 * expected, 1.0, 1)
     assert not none and largest == 1.01 * expected
 
 
@@ -100,7 +100,7 @@ def test_search_of_the_same_frames_again_and_of_others_is_that_of_a_new_one():
     search, generator = new_search(), np.random.default_rng(4)
     first, other = generator.standard_normal((2, 6, 12, 9)).astype(np.float32)
     for frames in (first, first, other, first):
-        again, fresh = (made.best_paths(frames, 0.0, 2.0, lambda _: True, 3)
+        again, fresh = (made.best_paths(frames, 0.0, 2.0, 3)
                         for made in (search, new_search()))
         assert again[0] == fresh[0]
         for a, b in zip(again[1], fresh[1], strict=True):

@@ -198,7 +198,7 @@ def test_frames_that_differ_in_places_are_searched_as_if_new(psf, code, weighted
         fresh.set_weights(weights if weighted else None)
         np.testing.assert_equal(*(
             [dataclasses.astuple(path) for path in search.best_paths(
-                frames, 0.0, 3.0, lambda _: True, 5)[1]] for search in (kept, fresh)))
+                frames, 0.0, 3.0, 5)[1]] for search in (kept, fresh)))
         if number == 3:
             kept.best_value(frames[::-1].copy())
         frames = frames.copy()

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.kernels.compile_flags import EXACT, ZERO
 from track_before_detect.kernels.rows import ABSENT
+from track_before_detect.kernels.search.borrowed_arrays import borrowed
 from track_before_detect.kernels.search.viterbi import Turns
 
 # A start that is on no grid.
@@ -39,8 +40,35 @@ class Motion(NamedTuple):
 
 
 @numba.njit(**EXACT)
-def _best_arrival(tables, places, j, y, x, v, motion, layout):
-    """Return how the best path comes to go on from (y, x) at velocity v in segment j.
+def _borrowed(motion):
+    """Return the same motion; each use of a tuple counts references to the arrays it owns."""
+    turns = motion.turns
+    return Motion(
+        borrowed(motion.knots), borrowed(motion.moves), borrowed(motion.end_moves),
+        borrowed(motion.kinds),
+        Turns(borrowed(turns.slots), borrowed(turns.velocity_at), turns.columns, turns.reach,
+              turns.cost), motion.entry, motion.leaving)
+
+
+@numba.njit(**EXACT)
+def _find_arriving(arriving, tables, places, j, y, x, motion, layout):
+    """Write to arriving[v] the weight of the best path that comes to (y, x) at velocity v.
+
+    By the start of segment j; absent where there is none, and beyond the last velocity.
+    """
+    for v in range(layout.n_v):
+        row, column = y - motion.end_moves[j - 1, v, 1], x - motion.end_moves[j - 1, v, 0]
+        arriving[v] = ABSENT
+        if (0 <= row < layout.n_y and 0 <= column < layout.n_x and places[j - 1, row, v]):
+            arriving[v] = tables[places[j - 1, row, v] + column]
+    arriving[layout.n_v] = ABSENT
+
+
+@numba.njit(**EXACT, inline='always')
+def _best_arrival(arriving, j, v, may):
+    """Return how the best path comes to go on at velocity v in segment j.
+
+    arriving : float32 (V + 1,), as ``_find_arriving`` writes it
 
     Returns
     -------
@@ -54,25 +82,17 @@ def _best_arrival(tables, places, j, y, x, v, motion, layout):
     best, chosen, turned = ABSENT, -1, 0
     if j == 0:
         return chosen, np.float32(0), turned
-    may = motion.turns
     for k in range(-may.reach, may.reach + 1):
         for m in range(-may.reach, may.reach + 1):
             other = may.velocity_at[may.slots[v] + k * may.columns + m]
-            if other == layout.n_v:
-                continue
-            row = y - motion.end_moves[j - 1, other, 1]
-            column = x - motion.end_moves[j - 1, other, 0]
-            if (0 <= row < layout.n_y and 0 <= column < layout.n_x
-                    and places[j - 1, row, other]):
-                steps = abs(k) + abs(m)
-                weight = (tables[places[j - 1, row, other] + column]
-                          - np.float32(steps) * may.cost)
-                if weight > best:
-                    best, chosen, turned = weight, other, steps
+            steps = abs(k) + abs(m)
+            weight = arriving[other] - np.float32(steps) * may.cost
+            if weight > best:
+                best, chosen, turned = weight, other, steps
     return chosen, best, turned
 
 
-@numba.njit(**EXACT)
+@numba.njit(**EXACT, inline='always')
 def _live_on(reached, scores, t, y, x, v, motion, layout):
     """Return what a path that starts its segment at (y, x) has reached after frame t."""
     row, column = y + motion.moves[t, v, 1], x + motion.moves[t, v, 0]
@@ -84,15 +104,8 @@ def _live_on(reached, scores, t, y, x, v, motion, layout):
 
 
 @numba.njit(**EXACT)
-def best_end(tables, places, scores, j, y, x, motion, layout):
+def _best_end(arriving, scores, j, y, x, motion, layout):
     """Return how the best path that starts its last segment j at (y, x) goes on.
-
-    Parameters
-    ----------
-    tables : float32, flat
-    places : int64 (J - 1, Y, V)
-        Where the states of each segment but the last lie in the tables, as in the module
-        ``viterbi``.
 
     Returns
     -------
@@ -101,15 +114,16 @@ def best_end(tables, places, scores, j, y, x, motion, layout):
     float
         Its weight, of what it meets in the last segment in double precision.
     """
+    motion = _borrowed(motion)
     best, velocity, last = ABSENT, ZERO, motion.knots[j + 1] - 1
     for v in range(layout.n_v):
-        _, reached, _ = _best_arrival(tables, places, j, y, x, v, motion, layout)
+        _, reached, _ = _best_arrival(arriving, j, v, motion.turns)
         for t in range(motion.knots[j], motion.knots[j + 1]):
             reached = _live_on(reached, scores, t, y, x, v, motion, layout)
             end = reached if t == motion.moves.shape[0] - 1 else reached - motion.leaving
             if end > best:
                 best, velocity, last = end, v, t
-    _, reached, _ = _best_arrival(tables, places, j, y, x, velocity, motion, layout)
+    _, reached, _ = _best_arrival(arriving, j, velocity, motion.turns)
     value = np.float64(reached)
     for t in range(motion.knots[j], last + 1):
         value = _live_on(value, scores, t, y, x, velocity, motion, layout)
@@ -131,8 +145,10 @@ def follow_back(positions, velocities, starts, tables, places, scores, j, y, x, 
         Receives the velocity there.
     starts : int64 (J, 2)
         Receives x and y of its starts of segments.
-    tables, places
-        As of ``best_end``.
+    tables : float32, flat
+    places : int64 (J - 1, Y, V)
+        Where the states of each segment but the last lie in the tables, as in the module
+        ``viterbi``.
     velocity, last : int
         In segment j, and the last frame there.
     stop : int
@@ -146,11 +162,14 @@ def follow_back(positions, velocities, starts, tables, places, scores, j, y, x, 
     int
         Steps of its turns.
     """
+    motion = _borrowed(motion)
+    arriving = np.empty(layout.n_v + 1, np.float32)
     turns = 0
     while j > stop or j == 0:
         first = motion.knots[j]
-        arriving, reached, turned = _best_arrival(tables, places, j, y, x, velocity, motion,
-                                                  layout)
+        if j > 0:
+            _find_arriving(arriving, tables, places, j, y, x, motion, layout)
+        before, reached, turned = _best_arrival(arriving, j, velocity, motion.turns)
         entered = first
         goes_on = j > 0 and reached > -motion.entry
         for t in range(first, last + 1):
@@ -167,18 +186,48 @@ def follow_back(positions, velocities, starts, tables, places, scores, j, y, x, 
                 starts[earlier] = NOWHERE
             return -1, y, x, velocity, turns
         turns += turned
-        velocity, j, last = arriving, j - 1, first - 1
+        velocity, j, last = before, j - 1, first - 1
         x -= motion.end_moves[j, velocity, 0]
         y -= motion.end_moves[j, velocity, 1]
     return j, y, x, velocity, turns
 
 
 @numba.njit(**EXACT)
-def next_peak(best, at):
-    """Return number of the end, y and x of the largest of ``best`` (E, Y, X).
+def trace_paths(positions, velocities, starts, values, left, tables, places, scores, j, ends, stop,
+                motion, layout):
+    """Follow N paths back from where they start their last segment j, the best to each place.
 
-    at : int64 (E, Y), x of the largest of each row, so that a peak costs the rows around it
+    Parameters
+    ----------
+    positions, velocities, starts
+        Receive what ``follow_back`` writes, one path after the other, and ``starts`` those of
+        segments that the paths would go on to as well.
+    values : float64 (N,)
+        Receives their weights, of what they meet in the last segment in double precision.
+    left : int64 (N, 5)
+        Receives what ``follow_back`` returns.
+    ends : int64 (N, 2)
+        y and x at the start of the segment.
+    tables, places, stop
+        As of ``follow_back``.
     """
+    motion = _borrowed(motion)
+    arriving = np.empty(layout.n_v + 1, np.float32)
+    for i in range(len(ends)):
+        y, x = ends[i]
+        if j > 0:
+            _find_arriving(arriving, tables, places, j, y, x, motion, layout)
+        velocity, last, values[i] = _best_end(arriving, scores, j, y, x, motion, layout)
+        starts[i, j, 0], starts[i, j, 1] = x, y
+        for later in range(j + 1, starts.shape[1]):
+            starts[i, later] = starts[i, later - 1] + motion.end_moves[later - 1, velocity]
+        left[i] = follow_back(positions[i], velocities[i], starts[i], tables, places, scores, j, y,
+                              x, velocity, last, stop, motion, layout)
+
+
+@numba.njit(**EXACT)
+def _next_peak(best, at):
+    """Return number of the end, y and x of the largest of ``best`` (E, Y, X)."""
     end, y = ZERO, ZERO
     for e in range(best.shape[0]):
         for row in range(best.shape[1]):
@@ -198,3 +247,23 @@ def leave_out(best, at, starts, radius):
         for row in range(max(0, y - radius), min(best.shape[1], y + radius + 1)):
             best[e, row, max(0, x - radius):max(0, x + radius + 1)] = ABSENT
             at[e, row] = np.argmax(best[e, row])
+
+
+@numba.njit(**EXACT)
+def pick_peaks(peaks, best, at, above, radius):
+    """Write number of the end, y and x of separate peaks, largest first; return how many.
+
+    Their surroundings are left out of ``best`` (E, Y, X).
+
+    at : int64 (E, Y), x of the largest of each row, so that a peak costs the rows around it
+    """
+    starts = np.full((best.shape[0], 2), NOWHERE)
+    for i in range(len(peaks)):
+        end, y, x = _next_peak(best, at)
+        if not best[end, y, x] > above:
+            return i
+        peaks[i] = end, y, x
+        starts[end] = x, y
+        leave_out(best, at, starts, radius)
+        starts[end] = NOWHERE
+    return len(peaks)

@@ -142,7 +142,7 @@ class StrongestPaths:
         self._are_new.add(sign)
         for level in levels:
             _, found = self._search.best_paths(
-                self._of_sign(sign), level, self._separation, lambda _: True, N_PATHS)
+                self._of_sign(sign), level, self._separation, N_PATHS)
             if len(found) >= ENOUGH:
                 break
         self._least[sign] = found[-1].value if len(found) == N_PATHS else level

@@ -89,7 +89,7 @@ class ConvexDetector(PathDetector):
 
         def largest(frames: NDArray) -> float:
             search.forget()
-            _, found = search.best_paths(frames, -np.inf, self._separation, lambda _: True,
+            _, found = search.best_paths(frames, -np.inf, self._separation,
                                          self.refined_in_noise)
             best = found[0].value
             for path in found:

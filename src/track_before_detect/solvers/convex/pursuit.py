@@ -15,8 +15,9 @@ only merge, move and remove what is there: their amplitudes are shrunk less than
 residual shows less than in the stage before, and the last stage has the final word.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 import numpy as np
@@ -196,6 +197,20 @@ def state_of(paths: WorkingSet, t_convex: float, violation: float = float('nan')
     return Step(t_convex, paths.objective(t_convex), len(paths), violation)
 
 
+def _apart(separation: float, positions: NDArray) -> Iterator[int]:
+    """Yield the numbers of paths (N, T, 2) that still pass the threshold beside those before.
+
+    That is, which are not near one of them in more than a quarter of the frames.
+    """
+    left = np.arange(len(positions))
+    while len(left):
+        number, left = left[0], left[1:]
+        yield number
+        distance = np.hypot(*(positions[left] - positions[number]).transpose(2, 0, 1))
+        near = np.count_nonzero(distance < separation, axis=1)
+        left = left[near <= 0.25 * np.count_nonzero(np.isfinite(distance), axis=1)]
+
+
 class _Stage:
     """The pursuit at one value of t."""
 
@@ -253,7 +268,7 @@ class _Stage:
                 return largest, False
             separation = SIDE_BY_SIDE * self._separation if frozen else self._separation
             largest, found = self._search.best_paths(
-                paths.residual, level, separation, self._is_new(separation), MOST_NEW_PATHS)
+                paths.residual, level, separation, MOST_NEW_PATHS, partial(_apart, separation))
             violation = paths.model.from_value(largest) / paths.threshold - 1
             history.append(state_of(paths, self._t, violation))
             self._watch.end_round()
@@ -294,21 +309,6 @@ class _Stage:
                 self._cut_short = True
                 return
             yield step
-
-    def _is_new(self, separation: float) -> Callable[[NDArray], bool]:
-        """Return a test for paths that still pass the threshold beside those found so far."""
-        taken = np.empty((0, self._paths.frames.shape[0], 2))
-
-        def is_new(positions: NDArray) -> bool:
-            nonlocal taken
-            distance = np.hypot(*(positions - taken).transpose(2, 0, 1))
-            near = np.count_nonzero(distance < separation, axis=1)
-            if np.any(near > 0.25 * np.count_nonzero(np.isfinite(distance), axis=1)):
-                return False
-            taken = np.concatenate([taken, positions[None]])
-            return True
-
-        return is_new
 
     def _try_adding(self, found: FoundPath) -> bool:
         """Add a path if it still passes its penalty and F_t falls."""

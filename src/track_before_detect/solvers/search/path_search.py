@@ -10,7 +10,7 @@ A search is made of three parts: scores say what a position adds, a table holds 
 every state, and a functional says what is to be largest of a path.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 import itertools
 import math
@@ -96,8 +96,8 @@ class PathSearch:
         """Return the largest value of any path, 0 when a ratio has none above."""
         return self._functional.largest(frames)
 
-    def best_paths(self, frames: NDArray, above: float, separation: float,
-                   is_new: Callable[[NDArray], bool], limit: int,
+    def best_paths(self, frames: NDArray, above: float, separation: float, limit: int,
+                   chosen: Callable[[NDArray], Iterable[int]] | None = None,
                    ) -> tuple[float, list[FoundPath]]:
         """Return the largest value of any path, and separate paths with values above a bound.
 
@@ -111,23 +111,30 @@ class PathSearch:
             Only paths of larger value are returned.
         separation : float
             Pixels between the last positions of two paths that are both traced.
-        is_new : callable
-            Told the positions (T, 2) of a path, says whether it is worth returning.
         limit : int
             Most paths that are traced.
+        chosen : callable, optional
+            Told the positions (N, T, 2) of paths, the best first, tells the numbers of those that
+            are worth returning; all are unless given.
         """
         radius = max(1, round(separation / self.graph.step_px))
         largest, traced = self._functional.best(frames, above, radius, limit)
-        found = []
-        for path in sorted(traced, key=lambda path: -path.value):
-            frame, cost = path.frames, path.turn_cost
-            positions = np.full_like(path.positions, np.nan)
-            positions[frame] = self._scores.restore(path.positions[frame], frame)
-            if self._presence:
-                cost += self._presence.cost(int(frame[0]), int(frame[-1]), len(positions))
-            found.append(FoundPath(positions * self.graph.step_px, path.value, cost))
-        new = (path for path in found if is_new(path.positions))
-        return largest, list(itertools.islice(new, limit))
+        if not traced:
+            return largest, []
+        traced.sort(key=lambda path: -path.value)
+        positions = np.stack([path.positions for path in traced])
+        there = np.isfinite(positions[..., 0])
+        positions[there] = self._scores.restore(positions[there], np.nonzero(there)[1])
+        positions *= self.graph.step_px
+        costs = [path.turn_cost for path in traced]
+        if self._presence:
+            n_frames = positions.shape[1]
+            first, beyond = there.argmax(axis=1), n_frames - there[:, ::-1].argmax(axis=1)
+            costs = [cost + self._presence.cost(int(begin), int(end) - 1, n_frames)
+                     for cost, begin, end in zip(costs, first, beyond, strict=True)]
+        numbers = range(len(traced)) if chosen is None else chosen(positions)
+        return largest, [FoundPath(positions[number], traced[number].value, costs[number])
+                         for number in itertools.islice(numbers, limit)]
 
     @property
     def _functional(self) -> Additive | Ratio:

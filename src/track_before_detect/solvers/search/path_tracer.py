@@ -1,6 +1,7 @@
 """Follows paths back through a table of which not all states may be held."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+import itertools
 from typing import NamedTuple
 
 import numpy as np
@@ -76,32 +77,37 @@ class PathTracer:
         self._scores, self._tables, self._places = scores, tables, places
         self._wide_place = ()
 
-    def trace(self, j: int, y: int, x: int, starts: NDArray[np.int64]) -> TracedPath:
-        """Return the best path that starts its last segment j at (y, x).
+    def trace(self, j: int, ends: NDArray[np.int64],
+              ) -> tuple[list[TracedPath], NDArray[np.int64]]:
+        """Return the best paths that start their last segment j at y and x, ``ends`` (N, 2).
 
-        ``starts`` (J, 2) receives x and y of its starts of segments, also of those that it would
-        go on to.
+        All at once, for a call of a compiled loop takes longer than to follow a path.
+
+        Returns
+        -------
+        paths : list of TracedPath
+        starts : array of int, shape (N, J, 2)
+            x and y of their starts of segments, also of those that they would go on to.
         """
-        n_frames, knots = self._graph.n_frames, self._motion.knots
-        positions, velocities = np.full((n_frames, 2), np.nan), np.zeros(n_frames, np.int64)
-        held, stop = (self._tables, self._places), self._held_from(j)
-        if stop == j > 0:
-            held, stop = self._around(j, y, x), 0
-        known = self._motion, self._layout
-        velocity, last, value = viterbi_backtrack.best_end(*held, self._scores, j, y, x, *known)
-        starts[j] = x, y
-        for later in range(j + 1, len(starts)):
-            starts[later] = starts[later - 1] + self._motion.end_moves[later - 1, velocity]
-        written = positions, velocities, starts
-        left, y, x, velocity, turns = viterbi_backtrack.follow_back(
-            *written, *held, self._scores, j, y, x, velocity, last, stop, *known)
-        if left > 0:
-            held = self._before(left, y, x, velocity)
+        n_ends, n_frames, knots = len(ends), self._graph.n_frames, self._motion.knots
+        positions = np.full((n_ends, n_frames, 2), np.nan)
+        velocities = np.zeros((n_ends, n_frames), np.int64)
+        starts = np.empty((n_ends, len(self._segments), 2), np.int64)
+        values, left = np.empty(n_ends), np.empty((n_ends, 5), np.int64)
+        stop, known = self._held_from(j), (self._motion, self._layout)
+        for of, held in self._held_around(j, ends, stop == j > 0):
+            viterbi_backtrack.trace_paths(
+                positions[of], velocities[of], starts[of], values[of], left[of], *held,
+                self._scores, j, ends[of], 0 if stop == j else stop, *known)
+        for i in np.flatnonzero(left[:, 0] > 0):
+            segment, y, x, velocity = map(int, left[i, :4])
+            held = self._before(segment, y, x, velocity)
             *_, more = viterbi_backtrack.follow_back(
-                *written, *held, self._scores, left, y, x, velocity, knots[left + 1] - 1, 0,
-                *known)
-            turns += more
-        return TracedPath(positions, velocities, value, self._graph.turn_cost * turns)
+                positions[i], velocities[i], starts[i], *held, self._scores, segment, y, x,
+                velocity, knots[segment + 1] - 1, 0, *known)
+            left[i, 4] += more
+        costs = (self._graph.turn_cost * left[:, 4]).tolist()
+        return list(map(TracedPath, positions, velocities, values.tolist(), costs)), starts
 
     def _held_from(self, j: int) -> int:
         """Return the first of the segments up to j - 1 that are held without a gap, else j."""
@@ -109,19 +115,28 @@ class PathTracer:
             j -= 1
         return j
 
-    def _around(self, j: int, y: int, x: int) -> tuple[NDArray, NDArray[np.int64]]:
-        """Return what may lead to the start of segment j at (y, x) and beside it."""
-        place = place_of_cone(j, y, x)
-        if place != self._wide_place:
-            self._fill('wide', j, None, *place[1:])
-            self._wide_place = place
-        return self._rooms['wide'].tables, self._rooms['wide'].places
+    def _held_around(self, j: int, ends: NDArray[np.int64], anew: bool,
+                     ) -> Iterator[tuple[slice, tuple[NDArray, NDArray[np.int64]]]]:
+        """Yield what may lead to ends (N, 2), and to which of them, computed anew or all held."""
+        if not anew:
+            yield slice(None), (self._tables, self._places)
+            return
+        for place, same in itertools.groupby(
+                range(len(ends)), lambda i: place_of_cone(j, *ends[i].tolist())):
+            if place != self._wide_place:
+                self._fill('wide', j, None, *place[1:])
+                self._wide_place = place
+            first, *others = same
+            yield slice(first, first + 1 + len(others)), self._filled('wide')
 
     def _before(self, j: int, y: int, x: int,
                 velocity: int) -> tuple[NDArray, NDArray[np.int64]]:
         """Return what may lead to one state of segment j."""
         self._fill('narrow', j, velocity, y, x)
-        return self._rooms['narrow'].tables, self._rooms['narrow'].places
+        return self._filled('narrow')
+
+    def _filled(self, name: str) -> tuple[NDArray, NDArray[np.int64]]:
+        return self._rooms[name].tables, self._rooms[name].places
 
     def _fill(self, name: str, j: int, velocity: int | None, y: int, x: int) -> None:
         """Fill the cone of some positions into a room."""

@@ -205,32 +205,34 @@ class ViterbiTable:
         best = self.best.copy()
         # The largest of each row is kept, so that a peak costs the rows around it and not all.
         at = np.argmax(best, axis=2)
-        starts = np.empty((self._graph.n_segments, 2), np.int64)
         # Rounding leaves much of what is absent.
         above = max(above, 0.5 * float(ABSENT))
-        first = self._graph.n_segments - self._n_ends
         self._tracer.begin(self._scores, self._tables, self._places)
-        peaks: list[tuple[int, int, int]] = []
-        found: dict[tuple[int, int, int], TracedPath] = {}
-        while len(peaks) < limit:
-            end, y, x = peak = viterbi_backtrack.next_peak(best, at)
-            if not best[peak] > above:
-                break
-            peaks.append(peak)
-            if self._n_ends == 1:
-                # Where it ends is known, so it may be traced together with its neighbours.
-                starts[-1] = x, y
-            else:
-                found[peak] = self._tracer.trace(first + end, y, x, starts)
+        if self._n_ends > 1:
+            return self._best_paths_in_turn(best, at, above, radius, limit)
+        # Where they end is known, so they may be traced together.
+        places = np.empty((limit, 3), np.int64)
+        n_peaks = viterbi_backtrack.pick_peaks(places, best, at, above, radius)
+        peaks = list(map(tuple, places[:n_peaks].tolist()))
+        new = sorted((peak for peak in peaks if peak not in self._traced),
+                     key=lambda peak: place_of_cone(*peak))
+        if new:
+            paths, _ = self._tracer.trace(len(self._segments) - 1, np.array(new)[:, 1:])
+            self._traced.update(zip(new, paths, strict=True))
+        if self._end_costs[0] is not None:
+            return [self._traced[peak] for peak in peaks]
+        return [self._traced[peak]._replace(value=float(self.best[peak])) for peak in peaks]
+
+    def _best_paths_in_turn(self, best: NDArray, at: NDArray[np.int64], above: float, radius: int,
+                            limit: int) -> list[TracedPath]:
+        """Trace one path after the other: where it may end leaves room for others or not."""
+        found: list[TracedPath] = []
+        first, peak = self._graph.n_segments - self._n_ends, np.empty((1, 3), np.int64)
+        while len(found) < limit and viterbi_backtrack.pick_peaks(peak, best, at, above, radius):
+            [path], [starts] = self._tracer.trace(first + int(peak[0, 0]), peak[:, 1:])
+            found.append(path)
             viterbi_backtrack.leave_out(best, at, starts[first:], radius)
-        if self._n_ends == 1:
-            for peak in sorted(peaks, key=lambda peak: place_of_cone(*peak)):
-                if peak not in self._traced:
-                    self._traced[peak] = self._tracer.trace(first, *peak[1:], starts)
-            found = self._traced
-        if self._end_costs[0] is None:
-            return [found[peak]._replace(value=float(self.best[peak])) for peak in peaks]
-        return [found[peak] for peak in peaks]
+        return found
 
     def _is_stale(self, end: int, y: int, x: int) -> bool:
         """Return whether what a path that ends there meets may be older than the scores."""
