@@ -53,7 +53,7 @@ def test_no_path_weighs_more_than_the_bound_of_its_cell(seed):
 def test_paths_are_those_of_a_search_of_all_states(monkeypatch, seed, give_up):
     if not give_up:
         # Not even where all states would be quicker to search than those that are marked.
-        monkeypatch.setattr(coarse_to_fine, 'COST_OF_UPDATE', 1e-3)
+        monkeypatch.setattr(coarse_to_fine, 'COST_OF_MARKED', 1e-3)
     generator = np.random.default_rng(seed)
     graph, shape = random_graph(generator, 7), tuple(generator.integers(1, 80, 2))
     whole = ViterbiTable(graph, shape)
@@ -74,7 +74,7 @@ def test_paths_are_those_of_a_search_of_all_states(monkeypatch, seed, give_up):
 @pytest.mark.parametrize('rise', [-4.0, 0.02, 3.0])
 @pytest.mark.parametrize('seed', range(6))
 def test_few_changed_scores_give_what_a_search_from_the_start_gives(monkeypatch, seed, rise):
-    monkeypatch.setattr(coarse_to_fine, 'COST_OF_UPDATE', 1e-3)
+    monkeypatch.setattr(coarse_to_fine, 'COST_OF_MARKED', 1e-3)
     generator = np.random.default_rng(seed)
     graph, shape = random_graph(generator, 7), tuple(generator.integers(20, 80, 2))
     scores = random_scores(generator, 7, shape)
@@ -109,3 +109,30 @@ def test_cells_are_used_for_many_states_where_there_is_memory(most_bytes):
     table = path_table(graph, (255, 255), most_bytes=most_bytes)
     assert isinstance(table, CoarseToFine if most_bytes == np.inf else ViterbiTable)
     assert isinstance(path_table(graph, (9, 9)), ViterbiTable)
+
+
+def test_targets_of_any_speed_up_to_one_pixel_a_frame_are_not_sought_among_cells():
+    graph = build_state_graph(np.arange(20.0), step_px=0.5, max_speed=1.0, max_acceleration=1 / 30,
+                              turn_cost=3.0)
+    assert isinstance(path_table(graph, (1023, 1023)), ViterbiTable)
+
+
+def test_batches_in_which_much_passes_are_searched_whole_until_cells_are_tried_again():
+    graph = build_state_graph(np.arange(8.0), step_px=0.5, max_speed=1.0, max_acceleration=0.1,
+                              turn_cost=3.0)
+    quiet = np.zeros((8, 90, 200), np.float32)
+    quiet[:, 40, 100] = 9
+    crowded = quiet.copy()
+    crowded[:, ::3] = 9
+    table = CoarseToFine(graph, quiet.shape[1:])
+    tried, kept = [], []
+    for scores in [crowded] * 8 + [quiet] * 2 + [crowded] * 2:
+        tried.append(table.cells_first)
+        assert table.update(scores, 60.0) == 72.0
+        kept.append(table.cells_first)
+        table.forget()
+        # Nothing was searched that could be told from.
+        table.forget()
+    # Each time in vain, twice as many are searched whole; but once only after a success.
+    assert tried == [True] + 2 * [False] + [True] + 4 * [False] + 3 * [True] + [False]
+    assert kept == 8 * [False] + 2 * [True] + 2 * [False]

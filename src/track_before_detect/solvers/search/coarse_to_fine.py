@@ -26,15 +26,21 @@ from track_before_detect.solvers.search.held_rows import HeldRows
 from track_before_detect.solvers.search.path_cone import NO_ENDS, NO_STATES
 from track_before_detect.solvers.search.path_tracer import TracedPath
 from track_before_detect.solvers.search.viterbi_table import (
-    COST_OF_UPDATE,
     margin_of,
     RowThreads,
     table_bytes,
     ViterbiTable,
 )
 
-# States from which on searching cells first is quicker (docs/constants/search.md).
-LEAST_STATES = 2e7
+# States and velocities from which on searching cells first may be quicker, and what it takes in
+# units of the time that all states do: the pass over cells, and a state that is marked; then what
+# a search of all states takes of it when a part of the scores has changed
+# (docs/constants/search.md).
+LEAST_STATES, LEAST_VELOCITIES = 2e7, 100
+COST_OF_CELLS, COST_OF_MARKED = 0.37, 7.5
+COST_OF_CHANGE = 0.15
+# Most batches that are searched whole before cells are tried again.
+MOST_PAUSE = 32
 # Kinds of weights of a cell: after an even or an odd number of steps along y, and along x.
 _KINDS = 4
 # Levels that are tried to find the largest weight of all, and by how much the first is below what
@@ -108,11 +114,11 @@ class CellTable:
                 self._places[j - 1] if j else segment.places, self._all, self._all[:, 0].copy())
 
     def mark(self, level: float, of_positions: viterbi.Layout,
-             most: float) -> NDArray[np.uint64] | None:
+             most: float) -> tuple[NDArray[np.uint64] | None, int]:
         """Return the states (J, Y, V) that may be on a path of a weight of ``level`` or more.
 
-        In blocks of positions, laid out as ``of_positions`` says; None where there are more blocks
-        than ``most``.
+        In blocks of positions, laid out as ``of_positions`` says, and how many these are; None
+        where that is more than ``most``, of which some are counted.
         """
         marks = np.zeros((self._last + 1, of_positions.n_y, of_positions.n_v), np.uint64)
         n_marked = cells.mark_ends(marks[-1], self.best, np.float32(level), of_positions)
@@ -123,7 +129,7 @@ class CellTable:
                                                      self._layout, of_positions)
                 if n_marked > most:
                     break
-        return marks if n_marked <= most else None
+        return marks if n_marked <= most else None, n_marked
 
     def _alive(self, level: float) -> Iterator[tuple[NDArray, NDArray[np.uint64]]]:
         """Yield what follows the states on paths of such a weight, and where they are.
@@ -176,10 +182,18 @@ class MarkedTable(ViterbiTable):
 class CoarseToFine:
     """The best paths of a graph, searched among cells first: as a :class:`ViterbiTable` has them.
 
+    Where many states pass, all are computed instead, and in the next batches from the start: what
+    is in them is much like what was in the last.
+
     Parameters
     ----------
     graph, grid_shape, n_threads, most_bytes
         As there.
+
+    Attributes
+    ----------
+    cells_first : bool
+        Whether cells are searched first in the frames at hand.
     """
 
     def __init__(self, graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 1,
@@ -191,12 +205,15 @@ class CoarseToFine:
         self._both_fit = n_bytes <= most_bytes
         self._marked = MarkedTable(graph, grid_shape, n_threads)
         layout = self._marked.layout
-        n_blocks = graph.n_segments * layout.n_y * layout.n_v * -(-layout.lanes // layout.block)
-        self._most_marked = n_blocks / COST_OF_UPDATE
+        self._n_blocks = graph.n_segments * layout.n_y * layout.n_v * -(
+            -layout.lanes // layout.block)
         self._cells: CellTable | None = None
         self._table: ViterbiTable | None = None
-        # Whether too many states are marked in these frames for cells to be of use.
-        self._gave_up = False
+        self.cells_first = True
+        # Times that changed scores were searched, and what that took beside a fill of all states.
+        self._n_changes, self._work = 0, 0.0
+        # Batches before cells are tried again, and how many it were the last time.
+        self._wait, self._pause = 0, 1
         self._scores, self._per_frame = np.empty((0, 0, 0), np.float32), 0.0
         # By how much sums along a path may be rounded, None before the first.
         self._margin: float | None = None
@@ -211,14 +228,16 @@ class CoarseToFine:
                per_frame: float = 0.0) -> float:
         """Return the largest weight; all paths that weigh more than ``level`` are known then."""
         self._scores, self._per_frame = scores, per_frame
-        if self._gave_up:
+        changed = self._n_changes == 0 or rows is None or bool(rows.any())
+        self._n_changes += changed
+        if not self.cells_first:
             return self._whole().update(scores, level, rows, per_frame)
-        if self._margin is not None and rows is not None and not rows.any():
-            if level >= self._level:
-                return self._largest
-        else:
+        if not changed and level >= self._level:
+            return self._largest
+        if changed:
             if self._cells is None:
                 self._cells = CellTable(*self._of_table)
+            self._work += COST_OF_CELLS
             self._cells.fill(scores, per_frame)
             self._margin = self._marked.store(scores, per_frame)
         assert self._cells is not None and self._margin is not None
@@ -242,17 +261,31 @@ class CoarseToFine:
 
     def forget(self) -> None:
         """Search the next frames from the start."""
-        self._gave_up, self._margin = False, None
+        if self._n_changes == 0:
+            # None were searched since.
+            return
+        self.cells_first, self._margin = self._are_next(), None
+        self._n_changes, self._work = 0, 0.0
         if self._table is not None:
             self._table.forget()
-        if not self._both_fit:
+        if self.cells_first and not self._both_fit:
             self._table = None
+
+    def _are_next(self) -> bool:
+        """Return whether cells are searched first in the next frames, by what these have taken."""
+        if self._margin is None:
+            self._wait -= 1
+        elif self.cells_first and self._work <= 1 + COST_OF_CHANGE * (self._n_changes - 1):
+            self._pause = 1
+        else:
+            self._wait = self._pause = min(2 * self._pause, MOST_PAUSE)
+        return self._wait <= 0
 
     def best_paths(self, above: float, radius: int, limit: int) -> list[TracedPath]:
         """Return paths as :meth:`ViterbiTable.best_paths` does."""
-        if not self._gave_up and above < self._level and self._search(above) is None:
+        if self.cells_first and above < self._level and self._search(above) is None:
             self._give_up(above)
-        table = self._whole() if self._gave_up else self._marked
+        table = self._marked if self.cells_first else self._whole()
         return table.best_paths(above, radius, limit)
 
     def _search(self, level: float) -> float | None:
@@ -261,7 +294,9 @@ class CoarseToFine:
         None where that would take longer than to compute all states.
         """
         assert self._cells is not None and self._margin is not None
-        marks = self._cells.mark(level - self._margin, self._marked.layout, self._most_marked)
+        marks, n_marked = self._cells.mark(level - self._margin, self._marked.layout,
+                                           self._n_blocks / COST_OF_MARKED)
+        self._work += COST_OF_MARKED * n_marked / self._n_blocks
         if marks is None:
             return None
         self._level = level
@@ -269,12 +304,12 @@ class CoarseToFine:
 
     def _give_up(self, level: float) -> float:
         """Compute all states, now and until other frames come."""
-        self._gave_up = True
-        if not self._both_fit:
-            self._cells = None
+        self.cells_first = False
         return self._whole().update(self._scores, level, None, self._per_frame)
 
     def _whole(self) -> ViterbiTable:
+        if not self._both_fit:
+            self._cells = None
         if self._table is None:
             self._table = ViterbiTable(*self._of_table, most_bytes=self._most_bytes)
         return self._table
@@ -291,7 +326,8 @@ def path_table(graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 
     ``few_pass`` says that the levels which are asked for are passed by few states.
     """
     n_states = graph.n_segments * graph.n_velocities * float(np.prod(grid_shape))
-    if (few_pass and n_states >= LEAST_STATES and kinds is None and presence is None
+    if (few_pass and n_states >= LEAST_STATES and graph.n_velocities >= LEAST_VELOCITIES
+            and kinds is None and presence is None
             and cell_bytes(graph, grid_shape) <= most_bytes):
         return CoarseToFine(graph, grid_shape, n_threads, most_bytes)
     return ViterbiTable(graph, grid_shape, n_threads, kinds, presence, most_bytes)
