@@ -43,6 +43,19 @@ def test_a_batch_without_end_is_left_in_time_with_what_was_found(detector):
     assert min(one.statistic for one in result.trajectories) > STOPPABLE[detector]
 
 
+def test_a_batch_that_carries_on_many_paths_is_left_in_time():
+    frames, _ = hairball()
+    pipeline = TrackingPipeline(DetectorOptions(threshold=THRESHOLD, max_time_s=1.0))
+    pipeline.warm_up(SHAPE[1:], 1.0, SHAPE[0])
+    stamps = np.arange(float(SHAPE[0]))
+    many = pipeline.process(FrameBatch.of(frames, stamps)).trajectories
+    begun = time.monotonic()
+    result = pipeline.process(FrameBatch.of(np.roll(frames, -5, axis=0), stamps + 5))
+    assert time.monotonic() - begun < 2.0
+    assert result.status == 'time_limit'
+    assert {one.id for one in many} & {one.id for one in result.trajectories}
+
+
 @pytest.mark.parametrize('options', [
     {}, {'continuation': (1.0,)}, {'amplitude_model': 'constant'}, {'presence': 'partial'}])
 def test_no_time_at_all_is_a_result_too(options):

@@ -1,7 +1,8 @@
 """Give trajectories of successive batches the identity they had before."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,11 +62,8 @@ class Stitcher:
         period_px : float, optional
             Columns after which the frames begin again, where they go round.
         """
-        excess = np.full((len(self._known), len(trajectories)), np.inf)
-        for i, known in enumerate(self._known):
-            for j, trajectory in enumerate(trajectories):
-                excess[i, j] = self._distance_over_gate(
-                    known.trajectory, trajectory, period_px)
+        excess = self._distances_over_gate(
+            [known.trajectory for known in self._known], trajectories, period_px)
         cost = np.minimum(excess, 2.0)
         ids: dict[int, int] = {}
         for i, j in zip(*linear_sum_assignment(cost), strict=True):
@@ -100,39 +98,69 @@ class Stitcher:
         period_px : float, optional
             As of :meth:`link`.
         """
-        carried = []
-        for trajectory in known:
-            near = [candidate for candidate in weaker
-                    if self._distance_over_gate(trajectory, candidate, period_px) <= 1.0]
-            if near:
-                best = max(near, key=lambda candidate: candidate.statistic)
-                weaker = [candidate for candidate in weaker if candidate is not best]
-                carried.append(replace(best, id=trajectory.id, reason=''))
+        carried, left = [], np.ones(len(weaker), bool)
+        for trajectory, excess in zip(known, self._distances_over_gate(known, weaker, period_px),
+                                      strict=True):
+            near = np.flatnonzero(left & (excess <= 1.0))
+            if len(near):
+                best = max(near, key=lambda number: weaker[number].statistic)
+                left[best] = False
+                carried.append(replace(weaker[best], id=trajectory.id, reason=''))
         return carried
 
-    def _distance_over_gate(self, older: Trajectory, newer: Trajectory,
-                            period: float | None) -> float:
-        common, in_older, in_newer = np.intersect1d(
-            older.frame_indices, newer.frame_indices, return_indices=True)
-        if len(common):
-            distance = _distances(
-                older.positions[in_older], newer.positions[in_newer], period)
-            known = np.isfinite(distance)
-            if known.any():
-                weights = np.nan_to_num(np.abs(older.amplitudes[in_older]
-                                               * newer.amplitudes[in_newer]))[known]
-                mean = np.average(distance[known], weights=weights if weights.any() else None)
-                return float(mean) / self._gate
-        present_older = np.flatnonzero(np.isfinite(older.positions[:, 0]))
-        present_newer = np.flatnonzero(np.isfinite(newer.positions[:, 0]))
-        if not (len(present_older) and len(present_newer)):
-            return np.inf
-        last, first = present_older[-1], present_newer[0]
-        elapsed = newer.stamps[first] - older.stamps[last]
-        frames = max(1, int(newer.frame_indices[first] - older.frame_indices[last]))
-        expected = older.positions[last] + older.velocity[last] * elapsed
-        distance = _distances(expected, newer.positions[first], period)
-        return float(distance) / (self._gate + self._slack * frames)
+    def _distances_over_gate(self, older: Sequence[Trajectory], newer: Sequence[Trajectory],
+                             period: float | None) -> NDArray[np.float64]:
+        """Return how far each of the older is from each of the newer, in units of the gate."""
+        excess = np.full((len(older), len(newer)), np.inf)
+        for group in _of_same_frames(newer):
+            for row, trajectory in zip(excess, older, strict=True):
+                row[group.numbers] = self._distances_of_group(trajectory, group, period)
+        return excess
+
+    def _distances_of_group(self, older: Trajectory, newer: '_Group',
+                            period: float | None) -> NDArray[np.float64]:
+        _, in_older, in_newer = np.intersect1d(
+            older.frame_indices, newer.frame_indices, assume_unique=True, return_indices=True)
+        distance = _distances(older.positions[in_older], newer.positions[:, in_newer], period)
+        known = np.isfinite(distance)
+        weights = known * np.nan_to_num(np.abs(
+            older.amplitudes[in_older] * newer.amplitudes[:, in_newer]))
+        weights = np.where(weights.any(axis=1, keepdims=True), weights, known)
+        both, there = known.any(axis=1), np.isfinite(newer.positions[..., 0])
+        excess = np.full(len(both), np.inf)
+        excess[both] = (np.sum(weights * np.where(known, distance, 0.0), axis=1)[both]
+                        / weights.sum(axis=1)[both] / self._gate)
+        present = np.flatnonzero(np.isfinite(older.positions[:, 0]))
+        others = np.flatnonzero(~both & there.any(axis=1))
+        if len(present) and len(others):
+            last, first = present[-1], there[others].argmax(axis=1)
+            elapsed = newer.stamps[others, first] - older.stamps[last]
+            frames = np.maximum(1, newer.frame_indices[first] - older.frame_indices[last])
+            expected = older.positions[last] + older.velocity[last] * elapsed[:, None]
+            excess[others] = (_distances(expected, newer.positions[others, first], period)
+                              / (self._gate + self._slack * frames))
+        return excess
+
+
+class _Group(NamedTuple):
+    """Trajectories of the same frames: which they are, their frames (T,), the rest (N, T, ...)."""
+
+    numbers: list[int]
+    frame_indices: NDArray
+    stamps: NDArray
+    positions: NDArray
+    amplitudes: NDArray
+
+
+def _of_same_frames(trajectories: Sequence[Trajectory]) -> Iterator[_Group]:
+    numbers: dict[bytes, list[int]] = {}
+    for number, trajectory in enumerate(trajectories):
+        numbers.setdefault(trajectory.frame_indices.tobytes(), []).append(number)
+    for same in numbers.values():
+        of = [trajectories[number] for number in same]
+        yield _Group(same, of[0].frame_indices, *(
+            np.stack(values) for values in zip(*(
+                (one.stamps, one.positions, one.amplitudes) for one in of), strict=True)))
 
 
 def _distances(a: NDArray, b: NDArray, period: float | None) -> NDArray:
