@@ -22,8 +22,8 @@ _OF_PATHS = (
     *_OF_PIXELS, 'psf.gauss_newton:best_amplitudes', 'psf.gauss_newton:maximise_statistic',
     'psf.measurement:curvatures', 'psf.measurement:evaluate', 'psf.measurement:render_path',
     'psf.psf_stamps:correlate', 'scores.matched_filter:scores_of_frame',
-    'search.viterbi:extend_paths', *(f'search.viterbi_backtrack:{name}' for name in (
-        'follow_back', 'leave_out', 'pick_peaks', 'trace_paths')),
+    'search.viterbi:extend_paths', 'search.viterbi_backtrack:pick_peaks',
+    'search.viterbi_backtrack:trace_paths',
     *(f'search.viterbi_update:{name}' for name in (
         'changed_states', 'count_blocks', 'largest_by_row', 'raise_stale', 'replace_scores',
         'spread_turns', 'store_scores', 'wanted_before', 'wanted_ends')))
@@ -144,6 +144,7 @@ def _of_search(options: DetectorOptions) -> tuple[str, ...]:
     if entries is _OF_PATHS:
         entries += _OF_FIT * (options.calibration != 'clutter')
         entries += _OF_CELLS * searches_cells(options)
+        entries += ('search.viterbi_backtrack:leave_out',) * (options.presence == 'partial')
     if options.exposure_s > 0:
         entries += ('scores.streak_scores:scores_of_streak',)
     if options.amplitudes == 'complex' and options.amplitude_model != 'fluctuating':

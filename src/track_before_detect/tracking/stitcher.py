@@ -101,8 +101,8 @@ class Stitcher:
         carried, left = [], np.ones(len(weaker), bool)
         for trajectory, excess in zip(known, self._distances_over_gate(known, weaker, period_px),
                                       strict=True):
-            near = np.flatnonzero(left & (excess <= 1.0))
-            if len(near):
+            near = np.flatnonzero(left & (excess <= 1.0)).tolist()
+            if near:
                 best = max(near, key=lambda number: weaker[number].statistic)
                 left[best] = False
                 carried.append(replace(weaker[best], id=trajectory.id, reason=''))

@@ -133,7 +133,7 @@ def _best_end(arriving, scores, j, y, x, motion, layout):
 
 
 @numba.njit(**EXACT)
-def follow_back(positions, velocities, starts, tables, places, scores, j, y, x, velocity, last,
+def _follow_back(positions, velocities, starts, tables, places, scores, j, y, x, velocity, last,
                 stop, motion, layout):
     """Write positions and velocities of the best path that is at (y, x) when segment j starts.
 
@@ -200,29 +200,33 @@ def trace_paths(positions, velocities, starts, values, left, tables, places, sco
     Parameters
     ----------
     positions, velocities, starts
-        Receive what ``follow_back`` writes, one path after the other, and ``starts`` those of
+        Receive what ``_follow_back`` writes, one path after the other, and ``starts`` those of
         segments that the paths would go on to as well.
     values : float64 (N,)
         Receives their weights, of what they meet in the last segment in double precision.
     left : int64 (N, 5)
-        Receives what ``follow_back`` returns.
+        Receives what ``_follow_back`` returns. A path that has a segment left goes on there.
     ends : int64 (N, 2)
         y and x at the start of the segment.
     tables, places, stop
-        As of ``follow_back``.
+        As of ``_follow_back``.
     """
     motion = _borrowed(motion)
     arriving = np.empty(layout.n_v + 1, np.float32)
     for i in range(len(ends)):
-        y, x = ends[i]
-        if j > 0:
-            _find_arriving(arriving, tables, places, j, y, x, motion, layout)
-        velocity, last, values[i] = _best_end(arriving, scores, j, y, x, motion, layout)
-        starts[i, j, 0], starts[i, j, 1] = x, y
-        for later in range(j + 1, starts.shape[1]):
-            starts[i, later] = starts[i, later - 1] + motion.end_moves[later - 1, velocity]
-        left[i] = follow_back(positions[i], velocities[i], starts[i], tables, places, scores, j, y,
-                              x, velocity, last, stop, motion, layout)
+        segment, y, x, velocity, turns = left[i]
+        last = motion.knots[segment + 1] - 1
+        if segment == 0:
+            segment, turns, (y, x) = j, 0, ends[i]
+            if j > 0:
+                _find_arriving(arriving, tables, places, j, y, x, motion, layout)
+            velocity, last, values[i] = _best_end(arriving, scores, j, y, x, motion, layout)
+            starts[i, j, 0], starts[i, j, 1] = x, y
+            for later in range(j + 1, starts.shape[1]):
+                starts[i, later] = starts[i, later - 1] + motion.end_moves[later - 1, velocity]
+        left[i] = _follow_back(positions[i], velocities[i], starts[i], tables, places, scores,
+                               segment, y, x, velocity, last, stop, motion, layout)
+        left[i, 4] += turns
 
 
 @numba.njit(**EXACT)

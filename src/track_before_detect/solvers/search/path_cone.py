@@ -53,7 +53,7 @@ class ConeRoom:
     tables : array of float32, flat
         The states.
     places : array of int64, shape (J - 1, Y, V)
-        Where they lie, as of ``viterbi_backtrack.best_end``.
+        Where they lie, as of ``viterbi_backtrack.trace_paths``.
     marks : array of uint64, shape (Y, V)
         Work space, zero.
     """

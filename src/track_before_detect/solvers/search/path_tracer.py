@@ -89,23 +89,22 @@ class PathTracer:
         starts : array of int, shape (N, J, 2)
             x and y of their starts of segments, also of those that they would go on to.
         """
-        n_ends, n_frames, knots = len(ends), self._graph.n_frames, self._motion.knots
+        n_ends, n_frames = len(ends), self._graph.n_frames
         positions = np.full((n_ends, n_frames, 2), np.nan)
         velocities = np.zeros((n_ends, n_frames), np.int64)
         starts = np.empty((n_ends, len(self._segments), 2), np.int64)
-        values, left = np.empty(n_ends), np.empty((n_ends, 5), np.int64)
-        stop, known = self._held_from(j), (self._motion, self._layout)
+        values, left = np.empty(n_ends), np.zeros((n_ends, 5), np.int64)
+        written = positions, velocities, starts, values, left
+
+        def follow(of: slice, held: tuple[NDArray, NDArray[np.int64]], stop: int) -> None:
+            viterbi_backtrack.trace_paths(*(array[of] for array in written), *held, self._scores,
+                                          j, ends[of], stop, self._motion, self._layout)
+
+        stop = self._held_from(j)
         for of, held in self._held_around(j, ends, stop == j > 0):
-            viterbi_backtrack.trace_paths(
-                positions[of], velocities[of], starts[of], values[of], left[of], *held,
-                self._scores, j, ends[of], 0 if stop == j else stop, *known)
-        for i in np.flatnonzero(left[:, 0] > 0):
-            segment, y, x, velocity = map(int, left[i, :4])
-            held = self._before(segment, y, x, velocity)
-            *_, more = viterbi_backtrack.follow_back(
-                positions[i], velocities[i], starts[i], *held, self._scores, segment, y, x,
-                velocity, knots[segment + 1] - 1, 0, *known)
-            left[i, 4] += more
+            follow(of, held, 0 if stop == j else stop)
+        for i in np.flatnonzero(left[:, 0] > 0).tolist():
+            follow(slice(i, i + 1), self._before(*left[i, :4].tolist()), 0)
         costs = (self._graph.turn_cost * left[:, 4]).tolist()
         return list(map(TracedPath, positions, velocities, values.tolist(), costs)), starts
 
