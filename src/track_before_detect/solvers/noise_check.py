@@ -78,7 +78,7 @@ def _share_passing(paths: WorkingSet, measurement: MeasurementModel, cost: float
               for x in np.linspace(0.0, right, n_columns)]
 
     def share(of: list[tuple[float, float]]) -> float:
-        excess = np.array([paths.excess_at(np.tile(place, (n_frames, 1)), cost) for place in of])
+        excess = np.array([paths.excess_at(np.full((n_frames, 2), place), cost) for place in of])
         seen = excess[np.isfinite(excess)]
         return float(np.mean(seen > 0)) if len(seen) else 0.0
 
