@@ -5,8 +5,8 @@ report, ``studies`` has a folder for each study of ``tbd evaluate`` and ``benchm
 each bench of ``tbd bench``. Only these two commands import this room, so that it could become a
 distribution of its own. These are the doors of the rest that it goes through:
 
-- for everything: ``atomic_files``, ``errors``, ``options``, ``parallel``, ``types``,
-  ``runs``, ``runs.own_process``,
+- for everything: ``atomic_files``, ``capabilities``, ``errors``, ``options``, ``parallel``,
+  ``types``, ``runs``, ``runs.own_process``,
   ``recordings.result_files``;
 - recordings with truth: ``recordings.images``, ``recordings.open_recording``,
   ``recordings.overlay``, ``recordings.read_errors``, ``recordings.recording``,
