@@ -90,6 +90,15 @@ def add_arguments(parser: Any) -> None:
     parser.add_argument('--explain', action='store_true',
                         help='list candidates that were rejected, and why (calibration=clutter)')
     add_result_arguments(parser)
+    add_worker_arguments(parser)
+    parser.add_argument(
+        '--list-options', action=PrintAndExit,
+        text=lambda: '\n'.join(option_lines(option, 'auto') for option in describe()),
+        help='list every option with its unit, range and meaning')
+
+
+def add_worker_arguments(parser: Any) -> None:
+    """Add who searches several recordings at a time."""
     parser.add_argument('--scheduler', metavar='WHERE',
                         help='search several recordings at a time: local on the cores of this '
                         'machine, or tcp://HOST:8786 on the workers of that Dask scheduler, which '
@@ -97,10 +106,6 @@ def add_arguments(parser: Any) -> None:
                         'run has finished is kept')
     parser.add_argument('--jobs', metavar='N', type=int,
                         help='workers of --scheduler local (default: one per core)')
-    parser.add_argument(
-        '--list-options', action=PrintAndExit,
-        text=lambda: '\n'.join(option_lines(option, 'auto') for option in describe()),
-        help='list every option with its unit, range and meaning')
 
 
 def add_input_arguments(parser: Any) -> None:
