@@ -1,10 +1,15 @@
 """Recordings in Zarr."""
 
+import sys
+import tracemalloc
+
 import numpy as np
 import pytest
 
+from track_before_detect.cli import main
 from track_before_detect.errors import DataError
 from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.recordings.zarr_store import CHUNK_BYTES, write_zarr_recording
 
 zarr = pytest.importorskip('zarr')
 FRAMES = np.random.default_rng(0).integers(0, 4000, (7, 6, 5)).astype(np.uint16)
@@ -47,3 +52,46 @@ def test_what_is_no_recording_is_refused(tmp_path):
                         ('flat.zarr', 'a single image'), ('torn.zip', 'no complete Zarr')):
         with pytest.raises(DataError, match=words):
             open_recording(tmp_path / name)
+
+
+@pytest.mark.parametrize('suffix', ['.zarr', '.zip'])
+@pytest.mark.parametrize('scenario', ['eo_ir_clouds', 'noise'])
+def test_a_simulated_recording_is_that_of_npz(tmp_path, capsys, scenario, suffix):
+    paths = [tmp_path / 'a.npz', tmp_path / f'a{suffix}']
+    for path in paths:
+        assert main(['simulate', scenario, '--seed', '4', '--output', str(path),
+                     '--set', 'n_frames=6', '--set', 'height=40']) == 0
+    with open_recording(paths[0]) as one, open_recording(paths[1]) as other:
+        np.testing.assert_array_equal(list(other), list(one))
+        np.testing.assert_array_equal(other.stamps, one.stamps)
+        np.testing.assert_array_equal(other.truth, one.truth)
+
+
+@pytest.mark.parametrize('name', ['a.zarr', 'a.zip'])
+def test_no_more_than_a_chunk_and_what_is_written_of_it_is_held(tmp_path, name):
+    frame = np.random.default_rng(0).standard_normal((512, 512))
+    n_frames = 10 * CHUNK_BYTES // frame.nbytes + 1
+    tracemalloc.start()
+    write_zarr_recording(tmp_path / name, (frame + k for k in range(n_frames)),
+                         np.arange(n_frames))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5 * CHUNK_BYTES
+    with open_recording(tmp_path / name) as recording:
+        np.testing.assert_array_equal(recording[n_frames - 1], frame + n_frames - 1)
+
+
+def test_nothing_is_left_of_what_cannot_be_written(tmp_path):
+    (tmp_path / 'there.zarr').mkdir()
+    assert main(['simulate', 'noise', '--output', str(tmp_path / 'there.zarr')]) == 2
+    with pytest.raises(DataError, match='8 stamps, got 7'):
+        write_zarr_recording(tmp_path / 'short.zarr', FRAMES, np.arange(8))
+    assert [path.name for path in tmp_path.iterdir()] == ['there.zarr']
+
+
+def test_what_is_missing_is_named(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, 'zarr', None)
+    assert main(['simulate', 'noise', '--output', str(tmp_path / 'a.zarr')]) == 2
+    assert capsys.readouterr().err == (
+        "tbd: error: writing Zarr needs zarr: pip install 'track_before_detect[zarr]'\n")
+    assert not any(tmp_path.iterdir())

@@ -15,18 +15,22 @@ from track_before_detect.cli.console import (
     PrintAndExit,
 )
 from track_before_detect.recordings.npz import write_npz_recording
+from track_before_detect.recordings.zarr_store import write_zarr_recording
 from track_before_detect.simulation import scenarios
 from track_before_detect.simulation.scenarios import Scenario, SCENARIOS
 
 HELP = 'make a recording with known targets'
 DESCRIPTION = (
-    'Make a recording with known targets and write it as .npz with frames, '
-    'stamps and\ntruth rows [frame, id, x, y].')
+    'Make a recording with known targets and write it with frames, stamps and '
+    'truth rows\n[frame, id, x, y]: as .npz, or as Zarr (.zarr, a folder, or .zip), which may be '
+    'larger than\nmemory.')
 EXAMPLES = """\
 examples:
   tbd simulate --list
   tbd simulate three_targets --seed 7 --output three.npz
   tbd simulate crossing --seed 7 --set snr=2.5 --set n_frames=40 --output crossing.npz
+  one that is larger than memory:
+    tbd simulate noise --set n_frames=600 --set height=4096 --set width=4096 --output sky.zarr
 """
 
 
@@ -35,8 +39,8 @@ def add_arguments(parser: Any) -> None:
     parser.add_argument('scenario', metavar='SCENARIO', help=f'one of: {", ".join(SCENARIOS)}')
     parser.add_argument('--seed', metavar='S', type=int, default=0,
                         help='the same seed gives the same recording (default: 0)')
-    parser.add_argument('--output', metavar='FILE.npz',
-                        help='file to write (default: SCENARIO.npz)')
+    parser.add_argument('--output', metavar='FILE',
+                        help='.npz, .zarr or .zip to write (default: SCENARIO.npz)')
     add_set_argument(parser, 'set one parameter of the scenario; may be repeated')
     parser.add_argument('--list', action=PrintAndExit, text=_listed,
                         help='list the scenarios and their parameters')
@@ -45,10 +49,17 @@ def add_arguments(parser: Any) -> None:
 def run(arguments: Namespace) -> int:
     """Simulate and write the recording; return the exit code."""
     output = Path(arguments.output or f'{arguments.scenario}.npz')
-    check_output_file(output, '.npz')
-    made = scenarios.simulate(arguments.scenario, arguments.seed, **assignments(arguments.set))
-    write_npz_recording(output, made.frames, made.stamps, made.truth)
-    scenario = made.scenario
+    check_output_file(output, '.npz', '.zarr', '.zip')
+    asked = arguments.scenario, arguments.seed
+    parameters: dict[str, Any] = dict(assignments(arguments.set))
+    if output.suffix == '.npz':
+        made = scenarios.simulate(*asked, **parameters)
+        write_npz_recording(output, made.frames, made.stamps, made.truth)
+        scenario = made.scenario
+    else:
+        stream = scenarios.stream(*asked, **parameters)
+        write_zarr_recording(output, stream.frames, stream.stamps, stream.truth)
+        scenario = stream.scenario
     targets = f'{scenario.n_targets} target{"" if scenario.n_targets == 1 else "s"}'
     print(f'{output}: {scenario.n_frames} frames of {scenario.height} x {scenario.width} px at '
           f'{scenario.fps:g} Hz, {targets}')

@@ -43,13 +43,14 @@ def read_errors(message: str, errors: tuple[type[Exception], ...]) -> Iterator[N
         raise DataError(f'{message}: {reason}') from error
 
 
-def reader_module(module: str, package: str, what: str, extra: str = 'readers') -> ModuleType:
+def reader_module(module: str, package: str, what: str, extra: str = 'readers',
+                  doing: str = 'reading') -> ModuleType:
     """Return the module of an optional package that reads something, and comes with an extra."""
     try:
         imported = importlib.import_module(module)
     except ImportError as error:
         raise MissingExtraError(
-            f"reading {what} needs {package}: pip install 'track_before_detect[{extra}]'"
+            f"{doing} {what} needs {package}: pip install 'track_before_detect[{extra}]'"
         ) from error
     # Some log what they find odd in a file straight to the terminal.
     logging.getLogger(module.partition('.')[0]).addFilter(_GATHERING)

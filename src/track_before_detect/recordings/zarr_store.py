@@ -1,18 +1,25 @@
-"""Recordings in Zarr: a folder or a zip file of chunks, of which those in need are read."""
+"""Recordings in Zarr: a folder or a zip file of chunks, read and written a few at a time."""
 
+from collections.abc import Iterable
+from contextlib import closing
+from itertools import chain, islice
+import os
 from pathlib import Path
 from typing import Any
 import zipfile
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from track_before_detect.errors import DataError
+from track_before_detect.atomic_files import atomic_path
+from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.recordings.npz import check_layout
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors, reader_module
 from track_before_detect.recordings.recording import CACHE_BYTES, Recording
 
 _READ_ERRORS = (OSError, ValueError, KeyError, TypeError, RuntimeError, EOFError)
+# Of one chunk: 32 frames of 256 x 256 float32.
+CHUNK_BYTES = 2**23
 _MARKS = ('zarr.json', '.zarray', '.zgroup')
 
 
@@ -43,6 +50,57 @@ def open_zarr(path: Path) -> Recording:
                              for name in ('stamps', 'truth'))
             return Recording(path.name, frames.shape[1:], frames.dtype, frames.shape[0],
                              _ZarrSource(path, store, frames), stamps, truth)
+
+
+def write_zarr_recording(path: str | os.PathLike, frames: Iterable[NDArray], stamps: ArrayLike,
+                         truth: ArrayLike | None = None) -> None:
+    """Write a recording that is larger than memory, a few frames at a time.
+
+    Parameters
+    ----------
+    path : path
+        Of a folder that is not there yet; ends with ``.zip`` for a zip file.
+    frames : iterable of arrays, shape (H, W)
+        As many as there are stamps, each asked for when those before are written.
+    stamps : array, shape (T,)
+        Seconds.
+    truth : array, shape (N, 4), optional
+        Rows [frame, id, x, y].
+
+    Raises
+    ------
+    ParameterError
+        If the folder is there.
+    DataError
+        If there are fewer frames than stamps.
+    MissingExtraError
+        Without the extra ``zarr``.
+    """
+    zarr = reader_module('zarr', 'zarr', 'Zarr', 'zarr', 'writing')
+    path, stamps = Path(path), np.asarray(stamps)
+    if path.is_dir():
+        raise ParameterError(f'{path} is there already: choose another name, or remove it')
+    with atomic_path(path) as partial, closing(
+            zarr.storage.ZipStore(partial, mode='w') if path.suffix.lower() == '.zip'
+            else zarr.storage.LocalStore(partial)) as store:
+        group = zarr.create_group(store)
+        group.create_array('stamps', data=stamps)
+        if truth is not None:
+            group.create_array('truth', data=np.asarray(truth))
+        frames = iter(frames)
+        first = next(frames)
+        span = min(max(1, CHUNK_BYTES // first.nbytes), len(stamps))
+        # Noise hardly compresses.
+        written = group.create_array(
+            'frames', shape=(len(stamps), *first.shape), dtype=first.dtype,
+            chunks=(span, *first.shape), compressors=None)
+        frames, n_written = chain([first], frames), 0
+        while held := list(islice(frames, span)):
+            written[n_written:n_written + len(held)] = np.stack(held)
+            n_written += len(held)
+        if n_written != len(stamps):
+            raise DataError(f'{path} must have a frame for each of {len(stamps)} stamps, got '
+                            f'{n_written}')
 
 
 class _ZarrSource:

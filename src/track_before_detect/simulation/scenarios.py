@@ -4,8 +4,10 @@ The noise is white and Gaussian with a standard deviation of 1, targets are stam
 Gaussian point spread function, so ``snr`` is the amplitude in one frame. Some have a background.
 """
 
+from collections.abc import Iterable, Iterator
 import dataclasses
 from dataclasses import dataclass
+import itertools
 import math
 from typing import Any
 
@@ -16,7 +18,7 @@ from track_before_detect.errors import named, ParameterError, suggestion
 from track_before_detect.options import checked_value, declared
 from track_before_detect.simulation.backdrop import backdrop, LAYERS
 from track_before_detect.simulation.motions import direction, place_targets
-from track_before_detect.simulation.sensor import add_path
+from track_before_detect.simulation.sensor import add_streak
 
 
 def _parameter(default: Any, description: str, **limits: Any) -> Any:
@@ -174,6 +176,24 @@ class SimulatedRecording:
     scenario: Scenario
 
 
+@dataclass(frozen=True)
+class SimulatedStream:
+    """A recording of which one frame is held at a time.
+
+    Attributes
+    ----------
+    frames : iterator of arrays of float32, shape (H, W)
+        Each made when it is asked for, once.
+    stamps, truth, scenario
+        As of a :class:`SimulatedRecording`.
+    """
+
+    frames: Iterator[NDArray[np.float32]]
+    stamps: NDArray[np.float64]
+    truth: NDArray[np.float64]
+    scenario: Scenario
+
+
 def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
     """Make a recording; the same arguments give the same recording.
 
@@ -187,6 +207,16 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
         Parameters of :class:`Scenario` to change; the noise does not depend on them as long as
         the frames keep their size.
     """
+    made = stream(name, seed, **overrides)
+    scenario = made.scenario
+    frames = np.empty((scenario.n_frames, scenario.height, scenario.width), np.float32)
+    for number, frame in enumerate(made.frames):
+        frames[number] = frame
+    return SimulatedRecording(frames, made.stamps, made.truth, scenario)
+
+
+def stream(name: str, seed: int, **overrides: Any) -> SimulatedStream:
+    """Make the recording of :func:`simulate` frame by frame."""
     scenario = _overridden(name, overrides)
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise ParameterError(f'seed must be a whole number, not negative, got {seed!r}')
@@ -196,37 +226,48 @@ def simulate(name: str, seed: int, **overrides: Any) -> SimulatedRecording:
     for_noise, for_background = (
         np.random.default_rng(part.spawn(scenario.sensor)[-1] if scenario.sensor else part)
         for part in (noise_seed, background_seed))
-    shape = (scenario.n_frames, scenario.height, scenario.width)
     positions = place_targets(name, scenario, for_motion)
     positions -= scenario.view_x_px, scenario.view_y_px
     snr = scenario.snr * for_amplitude.uniform(1.0, scenario.snr_spread, len(positions))
     amplitudes = np.repeat(snr[:, None], scenario.n_frames, axis=1)
     if scenario.fluctuation == 'rayleigh':
         amplitudes *= np.sqrt(for_amplitude.exponential(1.0, amplitudes.shape))
-    frames = for_noise.standard_normal(shape, np.float32)
+    if scenario.doppler_ambiguities:
+        # Columns go round.
+        positions[..., 0] = (positions[..., 0] + 0.5) % scenario.width - 0.5
+    truth = [np.column_stack([np.arange(len(path)), np.full(len(path), target), path])
+             for target, path in enumerate(positions)]
+    return SimulatedStream(
+        _frames(scenario, positions, amplitudes, for_noise, for_background),
+        np.arange(scenario.n_frames) / scenario.fps,
+        np.concatenate(truth) if truth else np.zeros((0, 4)), scenario)
+
+
+def _frames(scenario: Scenario, positions: NDArray, amplitudes: NDArray,
+            for_noise: np.random.Generator,
+            for_background: np.random.Generator) -> Iterator[NDArray[np.float32]]:
+    """Yield frames with targets (N, T, 2) of amplitudes (N, T)."""
+    shape = (scenario.n_frames, scenario.height, scenario.width)
+    streaks = np.zeros(positions.shape)
+    if scenario.exposure_s and scenario.n_frames > 1:
+        streaks = scenario.exposure_s * scenario.fps * np.gradient(positions, axis=1)
+    # Columns that go round show a target at both edges.
+    turns = (-1, 0, 1) if scenario.doppler_ambiguities else (0,)
+    pictures: Iterable[NDArray | float] = itertools.repeat(0.0, scenario.n_frames)
     if scenario.background_rms:
         layers = {scale: scenario.background_rms * share for scale, share in LAYERS.items()}
         step = scenario.background_speed_px_per_frame * direction(
             for_background.uniform(0.0, 2.0 * math.pi))
-        for frame, picture in zip(
-                frames, backdrop(for_background, shape, layers, step), strict=True):
-            frame += picture
-    for path, amplitude in zip(positions, amplitudes, strict=True):
-        # Columns that go round show a target at both edges.
-        turns = (-1, 0, 1) if scenario.doppler_ambiguities else (0,)
-        if scenario.doppler_ambiguities:
-            path[:, 0] = (path[:, 0] + 0.5) % scenario.width - 0.5
-        streaks = None
-        if scenario.exposure_s and scenario.n_frames > 1:
-            streaks = scenario.exposure_s * scenario.fps * np.gradient(path, axis=0)
-        for turn in turns:
-            add_path(frames, path + [turn * scenario.width, 0], scenario.psf_sigma_px, amplitude,
-                     streaks)
-    truth = [np.column_stack([np.arange(len(path)), np.full(len(path), target), path])
-             for target, path in enumerate(positions)]
-    return SimulatedRecording(
-        frames, np.arange(scenario.n_frames) / scenario.fps,
-        np.concatenate(truth) if truth else np.zeros((0, 4)), scenario)
+        pictures = backdrop(for_background, shape, layers, step)
+    for number, picture in enumerate(pictures):
+        frame = for_noise.standard_normal(shape[1:], np.float32)
+        frame += picture
+        for (x, y), amplitude, streak in zip(
+                positions[:, number], amplitudes[:, number], streaks[:, number], strict=True):
+            for turn in turns:
+                add_streak(frame, x + turn * scenario.width, y, scenario.psf_sigma_px, amplitude,
+                           streak)
+        yield frame
 
 
 def _overridden(name: str, overrides: dict[str, Any]) -> Scenario:
