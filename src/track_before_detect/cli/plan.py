@@ -121,7 +121,7 @@ def run(arguments: Namespace) -> int:
         name = f'all, {workers} worker{"s" * (workers > 1)}' if workers else 'all'
         rows.append((name, '', '', *_tile_cells(None), *_cells(*together(
             plans, workers, usable_cores() if arguments.scheduler == 'local' else workers))))
-    rows.insert(0, ('recording', 'frames', 'size [px]', 'tiles', 'size [px]', 'one [GB]',
+    rows.insert(0, ('recording', 'frames', 'size [px]', 'tiles', 'tile [px]', 'tile [GB]',
                     'batches', 'time [s]', 'CPU time [s]', 'memory [GB]'))
     if not any(plan.tiles for plan in plans):
         rows = [row[:3] + row[6:] for row in rows]

@@ -55,7 +55,8 @@ class Case(CaseApart):
 
 def cases(large: bool) -> dict[str, tuple[Case, ...]]:
     """Return what ``tbd bench tiles`` measures."""
-    return {'cases': (Case(512, 256), *((Case(2048, 512),) if large else ()))}
+    large_px = (1024, 2048, 4096) if large else ()
+    return {'cases': (Case(512, 256), *(Case(side, 512) for side in large_px))}
 
 
 def planted(case: Case) -> NDArray[np.float64]:
