@@ -2,6 +2,7 @@
 
 from argparse import Namespace
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 import heapq
 from itertools import islice
@@ -22,7 +23,7 @@ from track_before_detect.cli.detect import (
 from track_before_detect.errors import ParameterError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
-from track_before_detect.parallel import map_in_threads, usable_cores
+from track_before_detect.parallel import ahead, map_in_threads, usable_cores
 from track_before_detect.recordings.open_recording import expand_inputs
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.results.saved import Opened
@@ -31,7 +32,7 @@ from track_before_detect.timestamps import increasing_frames, median_interval
 
 # Larger frames of few batches are tried on squares in their middle instead: time goes on in
 # proportion to the pixels of the larger one, memory as a straight line through both. Those that
-# are searched in tiles are tried on one of these, and on the least square that holds four.
+# are searched in tiles are tried on one of these, and on a quarter of them, at least four.
 _MOST_PIXELS, _MANY_BATCHES = 512**2, 12
 _SIDES_PX = (256, 512)
 # The first batch begins with no paths, and what its frames cost is not kept for it.
@@ -230,8 +231,9 @@ def _trials(shape: tuple[int, int], options: DetectorOptions, tiles: Tiles | Non
     whole = options.replace(tile_px=None)
     if tiles is not None and options.tile_px is not None:
         # The larger part is cut into tiles of the size of those of the frame.
-        core = max(math.ceil(length / -(-length // options.tile_px)) for length in shape)
-        side = core * (1 + max(tiles.shape) // core)
+        n_along = -(-max(shape) // options.tile_px)
+        core = math.ceil(max(shape) / n_along)
+        side = core * max(1 + max(tiles.shape) // core, n_along // 2)
         return [part(*tiles.shape, whole), part(side, side, options.replace(tile_px=core))]
     if math.prod(shape) <= _MOST_PIXELS or n_batches >= _MANY_BATCHES:
         return [part(*shape, whole)]
@@ -300,9 +302,11 @@ def _tried(source: Opened, options: DetectorOptions, shape: tuple[int, int],
         marks = [_clocks()]
         skipped = max(0, _n_batches(recording, [part], length, hop) - _BATCHES_TRIED) // 2
         cut = batches(middle, [part[skipped * hop:]], recording.stamps, length, hop)
-        for batch in islice(cut, _BATCHES_TRIED):
-            pipeline.process(batch)
-            marks.append(_clocks())
+        # As in a whole search, the next one is prepared beside each that is searched.
+        with closing(ahead(map(pipeline.prepare, cut))) as prepared:
+            for search in islice(prepared, _BATCHES_TRIED):
+                search(None)
+                marks.append(_clocks())
     times = np.diff(marks, axis=0)
     # What was spent before this was called is start-up, too.
     start = marks[0] - began + began[1] * np.array([1, 1])
