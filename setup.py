@@ -74,6 +74,7 @@ setup(
             f'detector = {PACKAGE}.ros.executables.detector:main',
             f'frame_publisher = {PACKAGE}.ros.executables.frame_publisher:main',
             f'recorder = {PACKAGE}.ros.executables.recorder:main',
+            f'stitcher = {PACKAGE}.ros.executables.stitcher:main',
         ],
     },
 )

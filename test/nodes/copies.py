@@ -13,7 +13,8 @@ import sys
 
 EXECUTABLES = 'track_before_detect.ros.executables'
 IMPORTED = [__name__, *(f'track_before_detect.ros.{name}' for name in (
-    'detector_node', 'frame_publisher_node', 'recorder.recorder_node', 'executables.running'))]
+    'detector_node', 'frame_publisher_node', 'recorder.recorder_node',
+    'stitching.stitcher_node', 'executables.running'))]
 _context = multiprocessing.get_context('forkserver')
 _environment = {}
 

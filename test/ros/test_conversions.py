@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 
 pytest.importorskip('rclpy')
@@ -123,6 +125,25 @@ def test_points_hold_one_row_per_trajectory_and_frame_it_is_present_in():
     np.testing.assert_array_equal(points['vy'], -25.0)
     np.testing.assert_array_equal(points['snr'], 3.5)
     np.testing.assert_array_equal(points['statistic'], 9.0)
+
+
+def test_trajectories_come_back_from_points_without_the_frames_they_are_absent_in():
+    covariance = np.arange(1.0, 17.0).reshape(4, 2, 2)
+    sent = replace(trajectory(7, absent=[1]), covariance=covariance + covariance.swapaxes(1, 2))
+    back, other = conversions.trajectories_from_points(wired(
+        conversions.points_from_trajectories([sent, trajectory(9)], HEADER)))
+    present = [0, 2, 3]
+    for name in ('positions', 'amplitudes', 'velocity', 'stamps', 'covariance'):
+        np.testing.assert_array_equal(getattr(back, name), getattr(sent, name)[present])
+    assert (back.id, back.statistic, back.snr) == (7, 9.0, 3.5)
+    assert (other.id, len(other.positions)) == (9, 4)
+    assert conversions.trajectories_from_points(PointCloud2(
+        fields=conversions.points_from_trajectories([], HEADER).fields, point_step=56)) == []
+
+
+def test_a_cloud_of_something_else_is_no_trajectories():
+    with pytest.raises(DataError, match='must have the fields x, y, t, .*; missing: x, y, t'):
+        conversions.trajectories_from_points(PointCloud2())
 
 
 def test_no_trajectories_give_an_empty_cloud():

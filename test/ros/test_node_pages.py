@@ -14,6 +14,7 @@ from track_before_detect.ros import frame_publisher_node  # noqa: E402
 from track_before_detect.ros.detector_node import DetectorNode, PARAMETERS  # noqa: E402
 from track_before_detect.ros.intake.sensor_inputs import OF_SENSOR  # noqa: E402
 from track_before_detect.ros.recorder import recorder_node  # noqa: E402
+from track_before_detect.ros.stitching import stitcher_node  # noqa: E402
 
 PAGES = Path(__file__).parents[2] / 'docs' / 'nodes'
 
@@ -125,3 +126,23 @@ def test_that_of_the_recorder_names_its_topics_and_parameters(ros_domain, tmp_pa
     text = page[page.index('## Parameters'):page.index('## Failure')]
     assert re.findall('`(.*?)`', text) == [
         parameter.name for parameter in recorder_node.PARAMETERS]
+
+
+def test_that_of_the_stitcher_names_its_topics_and_parameters(ros_domain):
+    page = (PAGES / 'stitcher.md').read_text(encoding='utf-8')
+    context = rclpy.Context()
+    context.init(domain_id=int(ros_domain))
+    node = stitcher_node.StitcherNode('page_stitcher', context=context, parameter_overrides=[
+        Parameter('inputs', value=['one', 'two'])])
+    try:
+        topics, _ = interfaces(node, ('publisher', 'subscriber'))
+    finally:
+        node.destroy_node()
+        context.try_shutdown()
+    said = {name.lstrip('/'): kind for name, kind in rows(page).items()}
+    of_input = said.pop('NAME/trajectories/points')
+    assert topics == {**said, **{f'{name}/trajectories/points': of_input
+                                 for name in ('one', 'two')}}
+    text = page[page.index('## Parameters'):page.index('## Failure')]
+    assert re.findall('`(.*?)`', text) == [
+        parameter.name for parameter in stitcher_node.PARAMETERS]

@@ -20,6 +20,7 @@ from track_before_detect.ros.parameters import (  # noqa: E402
     option_values,
 )
 from track_before_detect.ros.recorder import recorder_node  # noqa: E402
+from track_before_detect.ros.stitching import stitcher_node  # noqa: E402
 from track_before_detect.tracking.presets import PRESETS  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
@@ -27,7 +28,8 @@ ROOT = Path(__file__).parents[2]
 
 NODES = {'detector.param.yaml': detector_node.PARAMETERS,
          'frame_publisher.param.yaml': frame_publisher_node.PARAMETERS,
-         'recorder.param.yaml': recorder_node.PARAMETERS}
+         'recorder.param.yaml': recorder_node.PARAMETERS,
+         'stitcher.param.yaml': stitcher_node.PARAMETERS}
 
 
 def parameters_in(text):

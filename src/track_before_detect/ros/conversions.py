@@ -258,6 +258,38 @@ def points_to_array(message: PointCloud2) -> NDArray:
     return np.frombuffer(message.data, dtype, count=message.width * message.height).copy()
 
 
+def trajectories_from_points(message: PointCloud2) -> list[Trajectory]:
+    """Return the trajectories in a cloud of :func:`points_from_trajectories`.
+
+    Frames in which a target is absent are left out; numbers of frames are not in the cloud, so
+    that those of each trajectory begin at 0.
+
+    Raises
+    ------
+    DataError
+        The cloud has other fields.
+    """
+    points = points_to_array(message)
+    needed = [name for name in POINT_DTYPE.names or () if name != 'z']
+    missing = [name for name in needed if name not in (points.dtype.names or ())]
+    if missing:
+        raise DataError(f'a cloud of trajectories must have the fields {", ".join(needed)}; '
+                        f'missing: {", ".join(missing)}')
+    found = []
+    for number in dict.fromkeys(points['id'].tolist()):
+        own = points[points['id'] == number]
+
+        def columns(*names: str, own: NDArray = own) -> NDArray[np.float64]:
+            return np.stack([own[name].astype(float) for name in names], axis=-1)
+
+        found.append(Trajectory(
+            number, columns('x', 'y'), own['amplitude'].astype(float), columns('vx', 'vy'),
+            own['t'].astype(float), np.arange(len(own)), float(own['statistic'][0]),
+            float(own['snr'][0]), covariance=columns(
+                'var_x', 'cov_xy', 'cov_xy', 'var_y').reshape(-1, 2, 2)))
+    return found
+
+
 def markers_from_trajectories(
         trajectories: Iterable[Trajectory], header: Header, lifetime_s: float,
         ended: Iterable[int] = ()) -> MarkerArray:

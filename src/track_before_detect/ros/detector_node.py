@@ -60,6 +60,7 @@ from track_before_detect.ros.intake.frame_reader import (
     STEADY,
 )
 from track_before_detect.ros.intake.neighbours import neighbour_warnings, senders
+from track_before_detect.ros.intake.region import REGION, Region
 from track_before_detect.ros.intake.sensor_inputs import (
     FRAME,
     IMAGE,
@@ -156,6 +157,7 @@ PARAMETERS = [
         'publish', BATCH, 'Whether trajectories are published once a batch, or beside that, on '
         'trajectories/head, where each target of the last batch is at every new frame.', 'text',
         choices=(BATCH, HEAD)),
+    REGION,
     *SENSORS,
     *CAMERA_PARAMETERS,
     *SCALE_PARAMETERS,
@@ -176,6 +178,7 @@ class DetectorNode(ManagedNode):
     """
 
     _sensors: Sequence[SensorInput] = ()
+    _region: Region | None = None
 
     def __init__(self, name: str = 'detector', **settings: Any) -> None:
         super().__init__(name, PARAMETERS, **settings)
@@ -280,6 +283,10 @@ class DetectorNode(ManagedNode):
                 LookedAt(one.name, one.shape, one.view.noise_sigma) for one in self._sensors))
         self._make_pipeline(request.unseen.options, None)
         RadarScale.of(values)
+        region = Region.of({**values, 'doppler_ambiguities':
+                            request.unseen.options.doppler_ambiguities})
+        # Kept once it is known: it cuts frames already while other parameters change.
+        self._region = self._region or region
         if values['camera_info'] and self._sensors:
             raise ParameterError('camera_info tells of one sensor, got '
                                  f'{values["camera_info"]!r} beside {len(self._sensors)} sensors')
@@ -299,6 +306,8 @@ class DetectorNode(ManagedNode):
         values = self.values()
         shape = (values['frame_height'], values['frame_width'])
         rate = values['frame_rate_hz']
+        if self._region is not None:
+            shape = self._region.shape
         self._stream = None
         if self._sensors:
             names, shapes = zip(*((one.name, one.shape) for one in self._sensors), strict=True)
@@ -421,6 +430,8 @@ class DetectorNode(ManagedNode):
             return
         try:
             frame = read(message)
+            if self._region is not None:
+                frame = frame._replace(pixels=self._region.cut(frame.pixels))
         except TbdError as error:
             queue.refuse_message()
             self._warn('message', f'message refused: {error}')
@@ -453,6 +464,10 @@ class DetectorNode(ManagedNode):
         return response
 
     def _publish(self, result: StreamResult) -> None:
+        # The overlay is of what was searched.
+        searched = result
+        if self._region is not None:
+            result = self._region.in_whole(result)
         trajectories = result.detection.trajectories
         header = result.tags[int(result.batch.frame_indices[-1])]
         stamps = {index: tag.stamp for index, tag in result.tags.items()}
@@ -479,7 +494,7 @@ class DetectorNode(ManagedNode):
         self._send(self._points, conversions.points_from_trajectories(
             trajectories, header, camera))
         if self.context.ok() and self._overlay.get_subscription_count():
-            pixels = render_overlay(*self._newest_frame(result))
+            pixels = render_overlay(*self._newest_frame(searched))
             self._send(self._overlay, conversions.image_from_colours(pixels, header))
         if self.context.ok():
             for output, message in self._field_outputs.messages(
@@ -499,7 +514,8 @@ class DetectorNode(ManagedNode):
         """Return what is known of the camera that took a frame, None where that is not asked."""
         if self._camera is None:
             return None
-        return self._camera.camera(pixels.shape, header.frame_id)
+        shape = pixels.shape if self._region is None else self._region.frame_shape
+        return self._camera.camera(shape, header.frame_id)
 
     def _newest_frame(self, result: StreamResult) -> tuple[NDArray, Sequence[Trajectory]]:
         """Return the newest frame of a batch, and the trajectories in its pixels."""
@@ -585,7 +601,7 @@ class DetectorNode(ManagedNode):
         self._send(self._diagnostics, diagnostics_message(
             self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(),
             status, copy(queue.counters), len(queue), self._reception, self._warnings,
-            self._sensor_counts()))
+            self._sensor_counts(), region='' if self._region is None else str(self._region)))
 
     def _sensor_counts(self) -> dict[str, SensorCount]:
         """Return what came from each of several sensors, by name."""

@@ -65,7 +65,8 @@ def option_words(options: DetectorOptions) -> str:
 
 def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counters,
                         n_waiting: int, reception: Reception, warnings: Warnings,
-                        sensors: Mapping[str, SensorCount] | None = None) -> DiagnosticArray:
+                        sensors: Mapping[str, SensorCount] | None = None, region: str = '',
+                        ) -> DiagnosticArray:
     """Return the state of the search with all counters.
 
     Parameters
@@ -86,6 +87,8 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
         A recent one is the message as a whole.
     sensors : mapping, optional
         Of several sensors by name.
+    region : str, optional
+        The part of the frames that is searched, in words.
     """
     level = DiagnosticStatus.OK
     message = f'{status.state}: {status.detail}' if status.detail else status.state
@@ -101,6 +104,7 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
         'options': option_words(status.options),
         'reasons': '; '.join(status.reasons),
         'frame_size': '' if status.shape is None else f'{status.shape[0]} x {status.shape[1]}',
+        'region': region,
         'searching': str(status.searching).lower(),
         'threshold': f'{status.threshold:.4f}',
         'processing_time_ms': f'{1e3 * status.processing_s:.1f}',

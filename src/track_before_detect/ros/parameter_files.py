@@ -13,6 +13,7 @@ from track_before_detect.option_tables import yaml_entry
 from track_before_detect.ros import detector_node, frame_publisher_node
 from track_before_detect.ros.parameters import NodeParameter
 from track_before_detect.ros.recorder import recorder_node
+from track_before_detect.ros.stitching import stitcher_node
 from track_before_detect.tracking.presets import NONE, PRESETS
 
 DETECTOR_HEADER = """\
@@ -35,6 +36,11 @@ FRAME_PUBLISHER_HEADER = """\
 """
 RECORDER_HEADER = """\
 # Parameters of the node recorder, each with its default. All are read once, at start.
+#
+# Not listed: use_sim_time. A parameter that the node does not know is an error.
+"""
+STITCHER_HEADER = """\
+# Parameters of the node stitcher, each with its default. All are read once, at start.
 #
 # Not listed: use_sim_time. A parameter that the node does not know is an error.
 """
@@ -91,6 +97,7 @@ FILES = {
     'frame_publisher.param.yaml': parameter_file(
         FRAME_PUBLISHER_HEADER, frame_publisher_node.PARAMETERS),
     'recorder.param.yaml': parameter_file(RECORDER_HEADER, recorder_node.PARAMETERS),
+    'stitcher.param.yaml': parameter_file(STITCHER_HEADER, stitcher_node.PARAMETERS),
     **{f'{name}.yaml': _preset_file(name) for name in PRESETS if name != NONE},
 }
 

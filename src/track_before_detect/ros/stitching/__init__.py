@@ -1,0 +1,1 @@
+"""The node that makes one set of trajectories of those of several regions of a stream."""
