@@ -3,12 +3,12 @@
 from argparse import Namespace
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 import heapq
 from itertools import islice
 import math
 import time
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,8 +39,7 @@ _SIDES_PX = (256, 512)
 _BATCHES_TRIED = 3
 
 
-@dataclass(frozen=True)
-class Tiles:
+class Tiles(NamedTuple):
     """The tiles of a frame.
 
     Attributes
@@ -203,7 +202,7 @@ def _plan(recording: Recording, options: DetectorOptions, source: Opened,
         memory += (memory - costs[0][-1]) * (of_frame - tried[-1]) / (tried[-1] - tried[0])
     search = (first + (n_batches - 1) * later) * (of_frame / tried[-1])
     return Plan(n_batches, start, search, memory,
-                tiles and replace(tiles, memory_bytes=costs[0][-1]))
+                tiles and tiles._replace(memory_bytes=costs[0][-1]))
 
 
 def _tiles(recording: Recording, options: DetectorOptions, length: int) -> Tiles | None:

@@ -2,13 +2,11 @@
 
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 
-@dataclass(frozen=True)
-class RegionBatch:
+class RegionBatch(NamedTuple):
     """One batch of one region.
 
     Attributes
