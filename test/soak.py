@@ -37,7 +37,7 @@ from track_before_detect.ros.domain import free_domain_id
 
 FAULTS = ('restarts', 'malformed', 'jumps')
 BATCH, HOP = 20, 10
-MOST_GROWTH, NEAR_PX = 0.02, 2.0
+MOST_GROWTH, NEAR_PX, SPEED_PX_S = 0.02, 2.0, 5.0
 # Seconds before memory is compared, between two faults of a kind, and over which memory is a
 # median.
 WARM_UP_S, FAULT_PERIOD_S, MEMORY_S = 20.0, 17.0, 5.0
@@ -53,9 +53,10 @@ LABELS = ['', 'rows', 'stamp=', 'stamp=1', 'stamp=9999999999.000000000', 'stamp=
 
 
 def truth(time_s, shape):
-    """Return where the target is, x and y in pixels."""
-    return (shape[1] / 2 + 0.2 * shape[1] * math.sin(0.2 * time_s),
-            shape[0] / 2 + 0.2 * shape[0] * math.cos(0.2 * time_s))
+    """Return x and y of the target in pixels: on a circle, as fast in frames of any size."""
+    radius = 0.2 * min(shape)
+    angle = SPEED_PX_S * time_s / radius
+    return shape[1] / 2 + radius * math.sin(angle), shape[0] / 2 + radius * math.cos(angle)
 
 
 def publish(arguments):

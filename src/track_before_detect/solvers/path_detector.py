@@ -55,8 +55,9 @@ LONGER_STREAK = 1.1
 # Least share of the frames of a batch that come from the same sensors as in one whose calibration
 # it shares (docs/constants/calibration.md).
 SAME_FRAMES = 0.5
-# How much more memory than was told is told again: batches of one stream differ a little.
-WORTH_TELLING = 1.5
+# Memory from which on it is told, and how much more than was told is told again: batches of one
+# stream differ a little.
+WORTH_TELLING_GB, AGAIN = 0.1, 1.5
 
 _LOG = logging.getLogger(__name__)
 
@@ -325,11 +326,12 @@ class PathDetector(BatchDetector):
 
     def _tell_memory(self, graph: StateGraph, measurement: MeasurementModel,
                      shape: tuple[int, int]) -> None:
-        """Say what a search is going to take, the first time that one takes that, or half more."""
+        """Say what a search is going to take, the first time that it is much, or half more."""
         needed, whole = (
             search_bytes(graph, measurement, shape, self.model, self.presence, most)
             for most in (self._most_bytes, math.inf))
-        if needed > WORTH_TELLING * self._told_bytes:
+        least = WORTH_TELLING_GB * BYTES_PER_GB if needed == whole else 0.0
+        if needed > max(least, AGAIN * self._told_bytes):
             self._told_bytes = needed
             _LOG.info(
                 'searching %d frames of %d x %d pixels takes %.2g GB of memory (max_memory_gb: '
