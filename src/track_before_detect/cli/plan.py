@@ -21,7 +21,6 @@ from track_before_detect.cli.detect import (
     told_options,
 )
 from track_before_detect.errors import ParameterError
-from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.parallel import ahead, map_in_threads, usable_cores
 from track_before_detect.recordings.open_recording import expand_inputs
@@ -207,6 +206,7 @@ def _plan(recording: Recording, options: DetectorOptions, source: Opened,
 
 def _tiles(recording: Recording, options: DetectorOptions, length: int) -> Tiles | None:
     """Return the tiles in which the batches of a recording are searched, if there are several."""
+    from track_before_detect.option_models import psf_of
     from track_before_detect.solvers.tiles import tile_shape, tiles_of
 
     if options.tile_px is None:
