@@ -90,12 +90,7 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
     region : str, optional
         The part of the frames that is searched, in words.
     """
-    level = DiagnosticStatus.OK
     message = f'{status.state}: {status.detail}' if status.detail else status.state
-    if status.state == 'failed':
-        level = DiagnosticStatus.ERROR
-    elif warnings.are_recent():
-        level, message = DiagnosticStatus.WARN, warnings.last
     values: dict[str, Any] = {
         'state': status.state,
         'detail': status.detail,
@@ -128,12 +123,21 @@ def diagnostics_message(name: str, stamp: Time, status: Status, counters: Counte
         values |= {
             f'{sensor}.frames_received': count.received, f'{sensor}.frames_late': count.late,
             f'{sensor}.silent_s': f'{count.silent_s(time.monotonic()):.1f}'}
-    return status_message(name, stamp, level, message, values)
+    return status_message(name, stamp, message, values, warnings,
+                          message if status.state == 'failed' else '')
 
 
-def status_message(name: str, stamp: Time, level: bytes, message: str, values: Mapping[str, Any]
-                   ) -> DiagnosticArray:
-    """Return diagnostics of one node, with values as text."""
+def status_message(name: str, stamp: Time, message: str, values: Mapping[str, Any],
+                   warnings: Warnings | None = None, trouble: str = '') -> DiagnosticArray:
+    """Return diagnostics of one node, with values as text.
+
+    In place of ``message`` they say what trouble there is, or a recent warning, at that level.
+    """
+    level = DiagnosticStatus.OK
+    if trouble:
+        level, message = DiagnosticStatus.ERROR, trouble
+    elif warnings is not None and warnings.are_recent():
+        level, message = DiagnosticStatus.WARN, warnings.last
     return DiagnosticArray(header=Header(stamp=stamp), status=[DiagnosticStatus(
         level=level, name=name, message=message, hardware_id='',
         values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])])

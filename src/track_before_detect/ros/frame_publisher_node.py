@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Set
 import time
 from typing import Any, SupportsFloat
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 import numpy as np
 from numpy.typing import NDArray
@@ -372,7 +372,7 @@ class FramePublisherNode(ParameterizedNode):
         now_s = time.monotonic()
         self._diagnostics.publish(status_message(
             self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(),
-            DiagnosticStatus.OK, self._state_words(), {
+            self._state_words(), {
                 'next_frame': self._head.next,
                 'frames': len(self._played.stamps),
                 'position_s': f'{self._head.position_s(now_s):.3f}',

@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, cast
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import (
@@ -197,14 +197,9 @@ class RecorderNode(ParameterizedNode):
             self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
-        level, message = DiagnosticStatus.OK, f'recording to {self._path}'
-        if self._trouble:
-            level, message = DiagnosticStatus.ERROR, self._trouble
-        elif self._warnings.are_recent():
-            level, message = DiagnosticStatus.WARN, self._warnings.last
         self._diagnostics.publish(status_message(
-            self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(), level,
-            message, {
+            self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(),
+            f'recording to {self._path}', {
                 'output': self._path,
                 'bytes_safe': self._file.n_bytes,
                 'messages': sum(self._counts.values()),
@@ -212,4 +207,4 @@ class RecorderNode(ParameterizedNode):
                 'messages_lost': self._n_lost,
                 **{f'messages of {topic}': count for topic, count in self._counts.items()},
                 'topics_without_publisher': ' '.join(self._missing),
-            }))
+            }, self._warnings, self._trouble))

@@ -10,7 +10,7 @@ from functools import partial
 import time
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
@@ -150,12 +150,9 @@ class StitcherNode(ParameterizedNode):
         for name in silent:
             self._warn(f'silent {name}', f'nothing came from {name} for '
                        f'{self.values()["wait_s"]:g} s: what the others find is told without it')
-        level, message = DiagnosticStatus.OK, f'merging {", ".join(self._names)}'
-        if self._warnings.are_recent():
-            level, message = DiagnosticStatus.WARN, self._warnings.last
         self._diagnostics.publish(status_message(
-            self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(), level,
-            message, {
+            self.get_fully_qualified_name().lstrip('/'), self.get_clock().now().to_msg(),
+            f'merging {", ".join(self._names)}', {
                 'batches': self._n_rounds,
                 'batches_incomplete': self._n_incomplete,
                 'trajectories': self._n_trajectories,
@@ -168,4 +165,4 @@ class StitcherNode(ParameterizedNode):
                 **{f'{name}.{key}': count for key, counts in (
                     ('batches_received', self._n_received), ('batches_late', self._rounds.n_late))
                     for name, count in zip(self._names, counts, strict=True)},
-            }))
+            }, self._warnings))
