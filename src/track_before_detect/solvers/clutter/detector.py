@@ -115,10 +115,9 @@ class ClutterDetector(PathDetector):
                 others.insert(0, path)
                 status = 'converged'
                 break
-            reason = reason_against(trajectory, task.paths.frames,
-                                    self.measurement.width_px, task.scene)
-            if any(is_shadow(trajectory, one, self.measurement.width_px) for one in found):
-                reason = SHADOW
+            width_px = self.measurement.width_px
+            reason = (SHADOW if any(is_shadow(trajectory, one, width_px) for one in found) else
+                      reason_against(trajectory, task.paths.frames, width_px, task.scene))
             (rejected if reason else found).append(replace(trajectory, reason=reason))
             strongest.renew(path.sign)
             others = strongest.by_strength()
