@@ -51,7 +51,8 @@ def test_a_thread_beside_the_main_one_that_has_one_core_does_the_work_itself():
     assert seen == 3 * [other]
 
 
-def test_an_error_reaches_the_caller_and_ends_the_work():
+def begun_until_the_first_fails(do):
+    """Return what is begun of work that fails, which ``do`` is told and must let through."""
     begun = []
 
     def fails(n):
@@ -60,7 +61,12 @@ def test_an_error_reaches_the_caller_and_ends_the_work():
         raise ValueError(n)
 
     with pytest.raises(ValueError):
-        map_in_threads(fails, range(100))
+        do(fails)
+    return begun
+
+
+def test_an_error_reaches_the_caller_and_ends_the_work():
+    begun = begun_until_the_first_fails(lambda fails: map_in_threads(fails, range(100)))
     time.sleep(0.1)
     assert len(begun) < 10
 
@@ -154,15 +160,8 @@ def test_work_that_is_shared_out_is_done_once_whoever_does_it():
 
 
 def test_nothing_more_is_begun_after_an_error_of_shared_work():
-    begun = []
-
-    def fails(n):
-        begun.append(n)
-        time.sleep(0.01)
-        raise ValueError(n)
-
-    with pytest.raises(ValueError):
-        share_out(fails, [(n,) for n in range(100)], 2)
+    begun = begun_until_the_first_fails(
+        lambda fails: share_out(fails, [(n,) for n in range(100)], 2))
     assert len(begun) < 4
 
 
