@@ -18,11 +18,12 @@ pytest.importorskip('rclpy')
 
 from track_before_detect.ros import detector_node, frame_publisher_node  # noqa: E402
 from track_before_detect.ros.recorder import recorder_node  # noqa: E402
+from track_before_detect.ros.stitching import stitcher_node  # noqa: E402
 
 ROOT = Path(__file__).parents[3]
 FILES = sorted(path.name.removesuffix('.launch.py') for path in ROOT.glob('launch/*.launch.py'))
 NODES = {'detector': detector_node, 'frame_publisher': frame_publisher_node,
-         'recorder': recorder_node}
+         'recorder': recorder_node, 'stitcher': stitcher_node}
 # Arguments without a default.
 NEEDED = {'replay': {'input': 'a.npz'},
           'sensors': {'params_file': str(ROOT / 'config' / 'detector.param.yaml')}}
@@ -110,7 +111,7 @@ def started(name, context, nodes):
 
 
 @pytest.fixture
-def launched(monkeypatch):
+def nodes_of(monkeypatch):
     """Return the function that gives the nodes which a file starts, with arguments."""
     monkeypatch.delenv('FASTRTPS_DEFAULT_PROFILES_FILE', raising=False)
     monkeypatch.delitem(
@@ -121,17 +122,24 @@ def launched(monkeypatch):
         monkeypatch.setitem(sys.modules, name, module)
 
     def launch(name, **arguments):
-        return {node['name']: node for node in started(name, dict(arguments), [])}
+        return started(name, dict(arguments), [])
 
     yield launch
     sys.modules.pop('track_before_detect.ros.executables.launching', None)
+
+
+@pytest.fixture
+def launched(nodes_of):
+    """Return the function that gives the nodes which a file starts by their names."""
+    return lambda name, **arguments: {
+        node['name']: node for node in nodes_of(name, **arguments)}
 
 
 @pytest.mark.parametrize(('name', 'nodes'), [
     ('demo', {'frame_publisher', 'detector'}), ('detector', {'detector'}),
     ('frame_publisher', {'frame_publisher'}), ('recorder', {'recorder'}),
     ('replay', {'frame_publisher', 'detector'}), ('sensors', {'detector'}),
-    ('view', {'rviz2'})])
+    ('stitcher', {'stitcher'}), ('view', {'rviz2'})])
 def test_a_file_starts_its_nodes_with_parameters_that_exist(launched, name, nodes):
     found = launched(name, **NEEDED.get(name, {}))
     assert found.keys() == nodes
@@ -187,6 +195,25 @@ def test_a_replay_keeps_stamps_has_its_clock_followed_and_is_recorded_when_asked
     assert found['recorder']['parameters'] == {'output': 'flight.mcap'}
     with pytest.raises(AssertionError, match='input is not given'):
         launched('replay')
+
+
+def test_regions_are_searched_side_by_side_and_merged(nodes_of):
+    nodes = nodes_of('regions', image='/camera/image_raw')
+    named = {f'{node["namespace"]}/{node["name"]}'.lstrip('/'): node for node in nodes}
+    assert named.keys() == {'left/detector', 'right/detector', 'stitcher'}
+    file = ROOT / 'config' / 'regions.yaml'
+    assert {Path(node['file']) for node in nodes} == {file}
+    told = {name.strip('/'): section['ros__parameters']
+            for name, section in yaml.safe_load(file.read_text(encoding='utf-8')).items()}
+    # Both hear the same frames, and what one of them lacks the other sees.
+    for name in ('left/detector', 'right/detector'):
+        assert named[name]['remappings']['image'] == '/camera/image_raw'
+        known = {parameter.name for parameter in detector_node.PARAMETERS}
+        assert (told[name] | told['**/detector']).keys() <= known
+    (left, _, width, _), (right, *_) = (
+        told[name]['region'] for name in ('left/detector', 'right/detector'))
+    assert left < right < left + width
+    assert told['stitcher'] == {'inputs': ['left', 'right']}
 
 
 @pytest.mark.skipif(not REAL, reason='launch is not installed')
