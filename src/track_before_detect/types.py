@@ -33,8 +33,8 @@ SHOWN_TRAJECTORIES = 10
 # How a search may end, and what that means; the later ones leave more to be wished.
 STATUSES = {
     'converged': 'no path is left that passes the threshold',
-    'iteration_limit': 'left before its end, after 500 trajectories or too many rounds: more may '
-                       'be there, and some may be false',
+    'iteration_limit': 'left before its end, after the most trajectories or rounds that the '
+                       'detector takes: more may be there, and some may be false',
     'time_limit': 'left when max_time_s was up: more may be there, and some may be false',
     'not_noise': 'not searched: the frames pass the threshold nearly everywhere, as noise never '
                  'does',
@@ -127,7 +127,8 @@ class Trajectory:
     frame_indices : array of int, shape (T,)
         Number of each frame in the recording.
     statistic : float
-        What is compared with the threshold; always above it for a reported trajectory.
+        What is compared with the threshold; above it for a reported trajectory, but for one
+        that carries on a trajectory of the batch beside it (``calibration=clutter``).
     snr : float
         Mean over frames of the matched filter statistic, which has unit variance in noise: the
         signal-to-noise ratio in one frame. ``convex`` and ``greedy`` leave out the frames that

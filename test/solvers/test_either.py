@@ -9,7 +9,8 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.evaluation.metrics.matching import match_trajectories
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_path
-from track_before_detect.tracking.pipeline import make_detector, TrackingPipeline
+from track_before_detect.solvers.detectors import make_detector
+from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.types import FrameBatch
 
 T, H, W = 12, 40, 44

@@ -7,8 +7,8 @@ import track_before_detect as tbd
 from track_before_detect.options import DetectorOptions, DETECTORS
 from track_before_detect.solvers import greedy
 from track_before_detect.solvers.convex.detector import ConvexDetector
+from track_before_detect.solvers.detectors import DETECTOR_CLASSES
 from track_before_detect.solvers.greedy import GreedyDetector
-from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
 from track_before_detect.types import FrameBatch
 
 T, H, W = 6, 20, 26

@@ -10,8 +10,8 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
+from track_before_detect.solvers.detectors import make_detector
 from track_before_detect.solvers.tiles import tiles_of
-from track_before_detect.tracking.pipeline import make_detector
 from track_before_detect.types import FrameBatch
 
 N_FRAMES, SIDE, TILE = 8, 160, 64

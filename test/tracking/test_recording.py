@@ -248,6 +248,16 @@ def test_the_best_statistic_below_the_threshold_is_told():
     assert low.trajectories[0].statistic == pytest.approx(high.best_statistic, rel=0.05)
 
 
+@pytest.mark.parametrize('continuation', [(1.0,), (0.0,), (1.0, 0.0)])
+def test_a_bound_of_the_best_statistic_is_not_told_as_one(continuation):
+    # The search of a path of constant amplitude in uneven noise stops where none can pass.
+    rng = np.random.default_rng(0)
+    result = tbd.detect(rng.standard_normal((10, 32, 32)), threshold=8.0,
+                        amplitude_model='constant', continuation=continuation,
+                        variance=rng.uniform(0.5, 2.0, (32, 32)))
+    assert result.trajectories == [] and not result.best_statistic > 7.9
+
+
 CLUTTER = {'calibration': 'clutter', 'amplitudes': 'signed', 'psf_sigma_px': 1.5,
            'batch_length': 10, 'hop': 5}
 

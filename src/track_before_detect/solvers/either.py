@@ -171,7 +171,7 @@ def _changing(free: Task, constant: Task) -> NDArray[np.int64]:
     return np.array([
         path for path in range(len(paths))
         if paths.statistic(path)**2 - paths.statistic(path, model=model)**2
-        > paths.n_present(path) - 1 + constant.paths.threshold**2], np.int64)
+        > paths.n_present(path) - 1 + constant.paths.least_penalty**2], np.int64)
 
 
 def _without(task: Task, paths: NDArray[np.int64]) -> NDArray:
@@ -187,5 +187,5 @@ def _without(task: Task, paths: NDArray[np.int64]) -> NDArray:
 def _holding(task: Task, frames: NDArray) -> WorkingSet:
     """Return an empty working set of a task for other frames."""
     targets = task.targets
-    return WorkingSet(frames, targets.pixel_weights, targets.measurement, task.paths.threshold,
+    return WorkingSet(frames, targets.pixel_weights, targets.measurement, task.paths.least_penalty,
                       task.paths.model, task.columns.period)

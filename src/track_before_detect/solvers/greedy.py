@@ -22,15 +22,16 @@ class GreedyDetector(PathDetector):
     def solve(self, task: Task) -> BatchResult:
         """Find the paths of a batch."""
         paths, model = task.paths, self.model
-        bound = model.value(paths.threshold)
+        bound = model.value(paths.least_penalty)
         history: list[Step] = []
         found: list[FoundTrajectory] = []
-        status, largest = 'iteration_limit', float('nan')
+        status, left = 'iteration_limit', float('nan')
         for _ in range(MOST_PATHS):
             if task.watch.time_is_up():
                 break
             largest, best = task.search.best_paths(paths.residual, bound, 1.0, 1)
-            violation = model.from_value(largest) / paths.threshold - 1
+            left = float('nan') if largest == bound else largest
+            violation = model.from_value(largest) / paths.least_penalty - 1
             history.append(Step(0.0, paths.objective(0.0), len(paths), violation))
             if not best:
                 status = 'converged'
@@ -40,4 +41,4 @@ class GreedyDetector(PathDetector):
             added = len(paths) - 1
             paths.assign(np.array([added]), paths.best(added)[None])
             found.append(self.trajectory(paths, added, path.value))
-        return self.result(task, found, status, history, largest)
+        return self.result(task, found, status, history, left)

@@ -94,13 +94,13 @@ def _take_off_the_best(search: PathSearch, refiner: PathRefiner, paths: WorkingS
     across = ACROSS * measurement.width_px
     cells = np.prod([max(side / across, 1.0) for side in paths.frames.shape[1:]])
     _, found = search.best_paths(
-        paths.residual, paths.model.value(paths.threshold), 0.5 * across,
+        paths.residual, paths.model.value(paths.least_penalty), 0.5 * across,
         max(LEAST_TARGETS, int(COVERED * cells)))
     for path in found:
         if watch.time_is_up():
             return
         positions, cost = refiner.refine(
-            paths.residual, path.positions, path.cost, paths.threshold, 0.0,
+            paths.residual, path.positions, path.cost, paths.least_penalty, 0.0,
         ) or (path.positions, path.cost)
         added = paths.add(positions, cost)
         if paths.statistic(added) > paths.penalties[added]:

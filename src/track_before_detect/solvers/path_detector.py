@@ -219,17 +219,15 @@ class PathDetector(BatchDetector):
             self.model.snr(seen[present & ~np.isnan(amplitudes)]), covariance=covariance)
 
     def result(self, task: Task, found: list[FoundTrajectory], status: str, history: list[Step],
-               largest: float = 0.0, gap: float = float('nan')) -> BatchResult:
+               best: float = float('nan'), gap: float = float('nan')) -> BatchResult:
         """Return what was found, with the threshold of a statistic.
 
-        ``largest`` is the value of the last search: that of the best path that was left, or only
-        a bound of it.
+        ``best`` is the value of the best path that the last search left, NaN when not known.
         """
-        model, penalty, n_frames = self.model, task.paths.threshold, len(task.paths.frames)
-        best = float('nan')
-        if largest > 0 and largest not in (model.value(penalty), model.grid_level(penalty)):
-            best = self.scale.statistic(largest, n_frames)
-        threshold = self.scale.statistic(model.value(penalty), n_frames)
+        n_frames = len(task.paths.frames)
+        threshold = self.scale.statistic(
+            self.model.value(task.paths.least_penalty), n_frames)
+        best = self.scale.statistic(best, n_frames) if best > 0 else float('nan')
         return BatchResult(found, threshold, task.watch.status(status), history, gap, best)
 
     def largest_value(self, targets: TargetModel,

@@ -23,22 +23,9 @@ from track_before_detect.solvers.batch_detector import (
     BatchResult,
     FoundTrajectory,
 )
-from track_before_detect.solvers.cancellation.mt_dp import MtDpDetector
-from track_before_detect.solvers.cancellation.pc_dp import PcDpDetector
-from track_before_detect.solvers.clutter.detector import (
-    ClutterDetector,
-    MAY_CARRY_ON,
-    SEPARATION,
-)
-from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.solvers.either import EitherDetector
-from track_before_detect.solvers.greedy import GreedyDetector
-from track_before_detect.solvers.path_detector import PathDetector
-from track_before_detect.solvers.ring.merit_detector import MeritDetector
-from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.solvers.clutter.detector import MAY_CARRY_ON, SEPARATION
+from track_before_detect.solvers.detectors import make_detector
 from track_before_detect.solvers.search.coarse_to_fine import search_once
-from track_before_detect.solvers.tiled import TiledDetector
-from track_before_detect.solvers.velocity.velocity_filter import VelocityFilterDetector
 from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.compilation import LABEL, searches_cells, told_of_compiling
 from track_before_detect.tracking.previous_batch import PreviousBatches
@@ -61,17 +48,6 @@ INTERVALS_S = (1e-12, 1e12)
 # frames without it take several times the memory of those that came.
 MOST_PIXELS_AHEAD = 2**23
 
-# The detectors by the names in options.DETECTORS.
-DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
-    'convex': ConvexDetector,
-    'greedy': GreedyDetector,
-    **dict.fromkeys(METHODS, MeritDetector),
-    'mt_dp': MtDpDetector,
-    'pc_dp': PcDpDetector,
-    'velocity_filter': VelocityFilterDetector,
-}
-
-
 @dataclass(frozen=True)
 class Searched:
     """A batch as it came, prepared beside one background, and what was found there."""
@@ -88,17 +64,6 @@ Observer = Callable[[Searched], None]
 BatchSearch = Callable[[Progress | None], DetectionResult]
 # What is searched instead of a background that is not one.
 BACKGROUNDS = {'either': ('temporal_median', 'spatial_median')}
-
-
-def make_detector(options: DetectorOptions) -> BatchDetector:
-    """Return a new detector, as the options say."""
-    if options.calibration == 'clutter':
-        return ClutterDetector(options)
-    kind = DETECTOR_CLASSES[options.detector]
-    detector = (EitherDetector(options, kind)
-                if options.amplitude_model == 'either' and issubclass(kind, PathDetector)
-                else kind(options))
-    return detector if options.tile_px is None else TiledDetector(options, detector)
 
 
 def detector_for(options: DetectorOptions) -> BatchDetector:
@@ -267,7 +232,7 @@ class TrackingPipeline:
         found = [trajectory for result in results for trajectory in result.trajectories]
         rejected = [trajectory for result in results for trajectory in result.rejected]
         if len(results) > 1:
-            found = _apart(found, SEPARATION * psf_of(self._options).width_px)
+            found = _strongest_of_near(found, SEPARATION * psf_of(self._options).width_px)
         found = self._before.link(
             found, period_of(self._options, batch.frames.shape[2]),
             [trajectory for trajectory in rejected if trajectory.reason in MAY_CARRY_ON])
@@ -398,8 +363,8 @@ def _in_original_frames(found: FoundTrajectory, prepared: PreparedBatch,
                       found.statistic, found.snr, found.reason, covariance)
 
 
-def _apart(trajectories: list[Trajectory], distance_px: float) -> list[Trajectory]:
-    """Return the strongest of the trajectories that lie on one another, by statistic."""
+def _strongest_of_near(trajectories: list[Trajectory], distance_px: float) -> list[Trajectory]:
+    """Return all trajectories but those that lie on one of a larger statistic."""
     kept: list[Trajectory] = []
     for trajectory in sorted(trajectories, key=lambda trajectory: -trajectory.statistic):
         between = [np.hypot(*(trajectory.positions - other.positions).T) for other in kept]

@@ -58,7 +58,7 @@ class PreviousBatches:
 
 
 def map_previous_batch(before: list[Trajectory], frame_indices: NDArray,
-                 maps: NDArray) -> EarlierPaths | None:
+                       maps: NDArray) -> EarlierPaths | None:
     """Return where the targets of the batch before are on the plane of this one.
 
     Parameters
@@ -72,7 +72,7 @@ def map_previous_batch(before: list[Trajectory], frame_indices: NDArray,
 
     Returns
     -------
-    Earlier or None
+    EarlierPaths or None
         None where the batches share no frame, or nothing was found.
     """
     if not before:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from track_before_detect.errors import ParameterError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.calibration.threshold import calibrate, level_passed
-from track_before_detect.tracking.pipeline import make_detector
+from track_before_detect.solvers.detectors import make_detector
 from track_before_detect.types import Progress
 
 

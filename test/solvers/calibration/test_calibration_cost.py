@@ -12,7 +12,7 @@ from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.calibration import threshold
 from track_before_detect.solvers.calibration.calibration_cost import search_seconds
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.tracking.pipeline import DETECTOR_CLASSES
+from track_before_detect.solvers.detectors import DETECTOR_CLASSES
 from track_before_detect.tracking.sensors import SensorArray
 
 

@@ -17,7 +17,7 @@ from track_before_detect.solvers.calibration.threshold import (
     SIMULATED,
 )
 from track_before_detect.solvers.convex.detector import ConvexDetector
-from track_before_detect.tracking.pipeline import make_detector
+from track_before_detect.solvers.detectors import make_detector
 
 ROOT = Path(__file__).parents[3]
 SHAPE = (48, 56)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.batch_detector import BatchDetector, BatchResult
-from track_before_detect.tracking.pipeline import make_detector
+from track_before_detect.solvers.detectors import make_detector
 from track_before_detect.types import FrameBatch
 
 Options = Mapping[str, Any]

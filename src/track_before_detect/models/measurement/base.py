@@ -16,6 +16,7 @@ from track_before_detect.models.motion.state_graph import StateGraph
 # Which frames of a batch: a slice of them, or their numbers.
 Frames = slice | NDArray[np.int64]
 NOTHING = np.empty((0, 0), np.float32)
+NO_FRAMES = np.empty((0, 0, 0), np.float32)
 # Calls a function, told some arguments and the first and last row, for all rows of a grid.
 OverRows = Callable[..., object]
 

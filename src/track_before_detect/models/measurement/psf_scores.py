@@ -18,6 +18,7 @@ from track_before_detect.models.amplitudes import AmplitudeModel
 from track_before_detect.models.measurement.base import (
     frame_of,
     grid_shape,
+    NO_FRAMES,
     NOTHING,
     OverRows,
     Scores,
@@ -56,21 +57,21 @@ class PsfScores(Scores):
         self.grid_shape = grid_shape(psf, shape)
         self._ones: list[NDArray] = [np.ones(n, np.float32) for n in self.grid_shape]
         self._level = (1 / np.sqrt(_norms_squared(taps))).astype(np.float32)
-        self._weights: NDArray = NOTHING[None][:0]
+        self._weights: NDArray = NO_FRAMES
         # What weights and border leave of the squared norm of the PSF, None without weights.
         self._shares: NDArray | None = None
         if rank == 1:
             self._scales: list[NDArray] = [
                 1 / np.sqrt(_shares_in_line(taps[0, axis], shape[axis], n_sub))
                 for axis in (0, 1)]
-            self._border = NOTHING[None][:0]
+            self._border = NO_FRAMES
         else:
             self._border = self._shares_of(np.ones((1, *shape), np.float32))
 
     def set_weights(self, weights: NDArray | None) -> None:
         """Tell one over the noise of each pixel; see :class:`Scores`."""
         if weights is None:
-            self._weights, self._shares = NOTHING[None][:0], None
+            self._weights, self._shares = NO_FRAMES, None
         else:
             self._weights = np.ascontiguousarray(weights, np.float32)
             self._shares = self._shares_of(self._weights**2)

@@ -16,7 +16,7 @@ SHAPES = np.array([2.0, 1.0, 0.5])
 # Share of the paths of a tail that may be targets as well.
 TARGETS = 0.25
 # Part of the largest statistic that stands for one of nothing, which has no logarithm.
-NOTHING = 1e-3
+LEAST_OF_LARGEST = 1e-3
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ def path_tail(statistics: ArrayLike, n_places: float) -> PathTail:
     totals = np.sum(beyond**SHAPES - start**SHAPES, axis=0)
     weights = np.full(len(SHAPES), 1 / len(SHAPES))
     if totals.all():
-        logarithms = np.log(np.maximum(beyond, NOTHING * largest)).sum()
+        logarithms = np.log(np.maximum(beyond, LEAST_OF_LARGEST * largest)).sum()
         likelihoods = count * (np.log(SHAPES) - np.log(totals)) + (SHAPES - 1) * logarithms
         weights = np.exp(likelihoods - logsumexp(likelihoods))
     return PathTail(start, totals, weights, count)

@@ -20,7 +20,7 @@ def duality_gap(paths: WorkingSet, largest: float) -> float:
     """
     scale = 1.0
     if largest > 0:
-        scale = min(scale, paths.threshold / paths.model.from_value(largest))
+        scale = min(scale, paths.least_penalty / paths.model.from_value(largest))
     explained = paths.explained()
     left = paths.matched - explained
     seen = np.array([paths.statistic(path, row) for path, row in enumerate(left)])

@@ -50,7 +50,7 @@ class ConvexDetector(PathDetector):
         # Less their costs, so that every statistic meets the same threshold.
         found = [self.trajectory(paths, path, paths.value(path), refiner)
                  for path in range(len(paths))]
-        return self.result(task, found, result.status, result.history, result.largest, result.gap)
+        return self.result(task, found, result.status, result.history, result.best, result.gap)
 
     def _merge_duplicates(self, task: Task, history: list[Step]) -> None:
         """Leave one path for each target, though it may look unlike the PSF.

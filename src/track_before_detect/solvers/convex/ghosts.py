@@ -121,7 +121,7 @@ class GhostSearch:
             members = np.append(path, others)
             with paths.without(*members) as frames:
                 extended = self._fitter.fit(frames, paths.positions[path], paths.costs[path],
-                                            paths.threshold)
+                                            paths.least_penalty)
                 with paths.beside([extended.source]):
                     excess = np.array([paths.statistic(other, paths.residual_statistic(other))
                                        for other in others]) - paths.penalties[others]

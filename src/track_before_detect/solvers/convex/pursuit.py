@@ -104,15 +104,16 @@ class PursuitResult:
         One entry for each round.
     gap : float
         Duality gap at the end of the stage t = 1, NaN without one.
-    largest : float
-        Largest value of any path of the grid on the residual that was searched last.
+    best : float
+        Largest value of any path of the grid on the residual that was searched last, NaN where
+        the search only found that it is below what it looked for.
     """
 
     paths: WorkingSet
     status: str
     history: list[Step]
     gap: float
-    largest: float
+    best: float
 
 
 def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separation: float,
@@ -140,7 +141,7 @@ def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separati
     watch = watch or Watch()
     history: list[Step] = []
     status = 'converged'
-    gap = largest = float('nan')
+    gap = best = float('nan')
     for number, t_convex in enumerate(settings.continuation):
         last = number == len(settings.continuation) - 1
         tolerance = settings.tolerance if last else settings.stage_tolerance
@@ -150,6 +151,7 @@ def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separati
             stage.begin(start)
         if number == 0 or last or t_convex == 1.0:
             largest, finished = stage.run(tolerance, settings.most_rounds, history)
+            best = stage.best
         else:
             finished = stage.polish(history)
         if not finished:
@@ -161,7 +163,7 @@ def pursue(search: PathSearch, refiner: PathRefiner, paths: WorkingSet, separati
     if watch.stopped and settings.continuation[-1] < 1.0:
         keep_what_passes(paths)
         history.append(state_of(paths, 0.0))
-    return PursuitResult(paths, watch.status(status), history, gap, largest)
+    return PursuitResult(paths, watch.status(status), history, gap, best)
 
 
 def keep_what_passes(paths: WorkingSet) -> None:
@@ -197,10 +199,10 @@ def state_of(paths: WorkingSet, t_convex: float, violation: float = float('nan')
     return Step(t_convex, paths.objective(t_convex), len(paths), violation)
 
 
-def _apart(separation: float, positions: NDArray) -> Iterator[int]:
-    """Yield the numbers of paths (N, T, 2) that still pass the threshold beside those before.
+def _far_apart(separation: float, positions: NDArray) -> Iterator[int]:
+    """Yield the numbers of paths (N, T, 2) that are not near an earlier one of these.
 
-    That is, which are not near one of them in more than a quarter of the frames.
+    Near in more than a quarter of the frames: such a path would hardly pass beside the earlier.
     """
     left = np.arange(len(positions))
     while len(left):
@@ -228,11 +230,12 @@ class _Stage:
         if self._certified:
             self._fit_gap = CERTIFIED_GAP
         else:
-            self._fit_gap = FIT_GAP if last else STAGE_GAP * paths.threshold**2
+            self._fit_gap = FIT_GAP if last else STAGE_GAP * paths.least_penalty**2
         self._last = last
         self._watch = watch
         self._most_passes = MOST_PASSES if last and t_convex < 1 else 1
         self._cut_short = False
+        self.best = float('nan')
         # Ids of the paths that took the place of others, and moved for it, in this pass.
         self._merged_into: set[int] = set()
 
@@ -248,17 +251,17 @@ class _Stage:
         Returns
         -------
         largest : float
-            Largest value of any path on the residual.
+            Largest value of any path on the residual, or a bound of it; ``best`` is NaN then.
         finished : bool
             Whether the stage reached its end.
         """
         paths = self._paths
-        bound = paths.model.value(paths.threshold * (1 + tolerance))
+        bound = paths.model.value(paths.least_penalty * (1 + tolerance))
         # The last word is with the refined paths, and their threshold: what is on the grid of a
         # dim target may be below it.
         level = bound
         if self._last and not self._certified:
-            level = min(bound, paths.model.grid_level(paths.threshold))
+            level = min(bound, paths.model.grid_level(paths.least_penalty))
         largest = 0.0
         for number in range(most_rounds):
             frozen = self._certified and number >= MOVING_ROUNDS
@@ -268,8 +271,10 @@ class _Stage:
                 return largest, False
             separation = SIDE_BY_SIDE * self._separation if frozen else self._separation
             largest, found = self._search.best_paths(
-                paths.residual, level, separation, MOST_NEW_PATHS, partial(_apart, separation))
-            violation = paths.model.from_value(largest) / paths.threshold - 1
+                paths.residual, level, separation, MOST_NEW_PATHS,
+                partial(_far_apart, separation))
+            self.best = float('nan') if largest == level else largest
+            violation = paths.model.from_value(largest) / paths.least_penalty - 1
             history.append(state_of(paths, self._t, violation))
             self._watch.end_round()
             if not found:
@@ -347,7 +352,7 @@ class _Stage:
         return fitted and not self._cut_short
 
     def _improve(self) -> bool:
-        """Fit, refine, merge and remove paths for as long as F_t falls; return as above."""
+        """Fit, refine, merge and remove paths while F_t falls; return whether fits converged."""
         paths = self._paths
         fitted = self._fit_all()
         for _ in range(self._most_passes):
@@ -415,7 +420,7 @@ class _Stage:
             return False
         with paths.without(path) as frames:
             better = self._refiner.refine(
-                frames, paths.positions[path], paths.costs[path], paths.threshold, self._t)
+                frames, paths.positions[path], paths.costs[path], paths.least_penalty, self._t)
         if better is None:
             paths.settled[path] = alone
             return False

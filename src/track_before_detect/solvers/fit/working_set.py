@@ -118,8 +118,9 @@ class WorkingSet:
         One over the noise of each pixel, zero where masked; of no frames where it is one.
     measurement : MeasurementModel
         What a target looks like.
-    threshold : float
-        lambda of a path without turns.
+    least_penalty : float
+        lambda of a path without costs: with ``presence=partial`` not the threshold, for there a
+        path has the cost of its presence at least.
     model : AmplitudeModel
         Of the amplitudes.
     period : int, optional
@@ -146,7 +147,7 @@ class WorkingSet:
     """
 
     def __init__(self, frames: NDArray, pixel_weights: NDArray, measurement: MeasurementModel,
-                 threshold: float, model: AmplitudeModel, period: int | None = None):
+                 least_penalty: float, model: AmplitudeModel, period: int | None = None):
         self.model = model
         self._period = period
         # Where the columns of a stamp are found again, itself included.
@@ -159,7 +160,7 @@ class WorkingSet:
         self._pixel_weights = np.asarray(pixel_weights, np.float32)
         self._renderer = StampRenderer(measurement, frames.shape, self._pixel_weights)
         self._whole_norm = whole_norm(measurement.compiled(), frames.shape[1:])
-        self.threshold = threshold
+        self.least_penalty = least_penalty
         self.ids: list[int] = []
         self._next_id = 0
         self.positions: list[NDArray] = []
@@ -402,7 +403,7 @@ class WorkingSet:
         """Return the value of a path beside all others: its statistic less what it costs."""
         value = self.model.value(self.statistic(path))
         if self.model.is_constant:
-            return value - (float(self.penalties[path]) - self.threshold)
+            return value - (float(self.penalties[path]) - self.least_penalty)
         return value - self.costs[path]
 
     def best(self, path: int, seen: NDArray | None = None) -> NDArray:
@@ -448,7 +449,7 @@ class WorkingSet:
         """
         model = self.model
         return (self.excess_at(positions, cost)
-                > model.grid_level(self.threshold) - model.value(self.threshold))
+                > model.grid_level(self.least_penalty) - model.value(self.least_penalty))
 
     def excess_at(self, positions: NDArray, cost: float) -> float:
         """Return by how much a path that is not held exceeds its penalty on the residual.
@@ -516,7 +517,7 @@ class WorkingSet:
 
     def _penalty(self, norms: NDArray, cost: float) -> float:
         """Return lambda of a path."""
-        return self.model.penalty(self.threshold,
+        return self.model.penalty(self.least_penalty,
                                   cost * self.model.cost_scale(self._counted(norms)))
 
     def _counted(self, norms: NDArray) -> NDArray[np.float64]:

@@ -102,13 +102,13 @@ def merit_functions(observations: NDArray, method: str, v_max: int,
     """
     chosen = _checked(observations, method, v_max)
     frames = np.ascontiguousarray(observations, np.float32)
-    passes = (_FirstOrder if chosen.order == 'cfo' else _SecondOrder)(
+    both_ways = (_FirstOrder if chosen.order == 'cfo' else _SecondOrder)(
         frames, chosen.order, v_max, n_threads)
     merit = np.empty_like(frames)
-    merit[:passes.memory] = frames[:passes.memory]
-    passes.run(merit, passes.memory, len(frames), 1)
+    merit[:both_ways.memory] = frames[:both_ways.memory]
+    both_ways.run(merit, both_ways.memory, len(frames), 1)
     if chosen.ring:
-        passes.close_ring(merit)
+        both_ways.close_ring(merit)
     return merit
 
 

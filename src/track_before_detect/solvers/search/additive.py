@@ -6,12 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from track_before_detect.kernels.rows import ABSENT
-from track_before_detect.models.measurement.base import Scores
+from track_before_detect.models.measurement.base import NO_FRAMES, Scores
 from track_before_detect.models.presence import Presence
 from track_before_detect.solvers.search.coarse_to_fine import PathTable
 from track_before_detect.solvers.search.path_tracer import TracedPath
-
-NOTHING = np.empty((0, 0, 0), np.float32)
 
 
 class Additive:
@@ -33,11 +31,11 @@ class Additive:
         self._tables = tables
         self._per_frame = presence.per_frame if presence else 0.0
         # The frames searched last and their scores, of no frames when nothing is known.
-        self._seen = self._kept = NOTHING
+        self._seen = self._kept = NO_FRAMES
 
     def forget(self) -> None:
         """Search the next frames without looking for what they share with the last."""
-        self._seen = NOTHING
+        self._seen = NO_FRAMES
         for _, table in self._tables:
             table.forget()
 
