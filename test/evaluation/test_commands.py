@@ -135,7 +135,9 @@ def test_a_suite_of_real_recordings_needs_a_folder(stand_in, tmp_path, capsys):
     assert run('evaluate', 'real', '--data', tmp_path / 'absent', '--output', output) == 2
     assert_one_sentence(capsys, 'absent is no folder')
     assert run('evaluate', 'study', '--methods', 'auto', '--output', output) == 2
-    assert_one_sentence(capsys, '--methods is for the study real alone')
+    assert_one_sentence(capsys, '--methods is for studies that can do with some', 'got auto')
+    assert run('evaluate', 'compare', '--methods', 'convex,untold', '--output', output) == 2
+    assert_one_sentence(capsys, "unknown method 'untold'", 'convex-untold')
     chosen = '--data', tmp_path, '--methods', 'pc_d'
     assert run('evaluate', 'real', *chosen, '--output', output) == 2
     assert_one_sentence(capsys, "unknown method 'pc_d'", 'pc_dp')

@@ -29,6 +29,7 @@ examples:
   tbd evaluate --list
   tbd evaluate detection --runs 200 --seed 1 --output evaluation
   tbd evaluate ring-single --runs 20 --output ring --jobs 4
+  tbd evaluate compare --runs 20 --methods convex,convex-untold,greedy
   tbd evaluate real --data recordings --output real
   tbd evaluate real --data recordings --methods auto,mff_dpr,trackpy
   on a cluster (joblib's Dask or Ray backend):
@@ -45,8 +46,8 @@ def add_arguments(parser: Any) -> None:
     parser.add_argument('--data', metavar='FOLDER',
                         help='recordings with truth, for the suites real and real-alarms')
     parser.add_argument('--methods', metavar='NAMES', default='',
-                        help='of the suite real, separated by commas: auto, a detector, or what '
-                        'else is installed (default: all)')
+                        help='some of those that the suite compare or real compares, separated by '
+                        'commas (default: all)')
     parser.add_argument('--seed', metavar='S', type=int, default=0,
                         help='the same seed gives the same recordings (default: 0)')
     add_output_argument(parser, folder='evaluation')

@@ -6,8 +6,9 @@ from track_before_detect.evaluation.engine.report import write_suite_result
 from track_before_detect.evaluation.studies.compare import runs as compare_runs
 from track_before_detect.evaluation.studies.compare.details import reasons, Standing
 from track_before_detect.evaluation.studies.compare.scenes import n_targets, SCENES, shape_of
-from track_before_detect.evaluation.studies.compare.suite import run_compare
+from track_before_detect.evaluation.studies.compare.suite import run_compare, SUITE
 from track_before_detect.options import DETECTORS
+from track_before_detect.runs.runner import as_text
 
 
 @pytest.mark.parametrize('scene', SCENES)
@@ -82,15 +83,15 @@ def test_report_names_the_best_method_of_each_scene(tmp_path):
     assert values['two crossing, SNR 2: best method'].note == 'greedy'
     behind = values['two crossing, SNR 2: convex minus the best other']
     assert behind.value == -1.0 and behind.note == 'best other: greedy; convex is behind'
-    untold = values['two crossing, SNR 2: convex, untold minus the best']
+    untold = values['two crossing, SNR 2: convex-untold minus the best']
     assert -1 < untold.value < 0 and untold.note == 'goal: at least -3 %'
     ahead = values['arc, SNR 3: convex minus the best other']
     assert ahead.value > 0 and ahead.note.endswith('convex is best')
     assert values['noise of 6 x 50 x 50 with a trajectory: mt_dp'].value == 1.0
     assert len(result.rows) == (8 * 3 * 12 + 2 * 24) * (len(DETECTORS) + 4)
     # Ours is the one told that targets may enter, and is as good as any there but "convex".
-    entering = values['enters, SNR 2: convex, partial minus the best other']
-    assert entering.value == 0 and entering.note.endswith('convex, partial is best')
+    entering = values['enters, SNR 2: convex-partial minus the best other']
+    assert entering.value == 0 and entering.note.endswith('convex-partial is best')
     write_suite_result(tmp_path, 'compare', result, 'the command')
     report = (tmp_path / 'report.md').read_text()
     assert '| arc | 3 | **100** |' in report and '| arc | 3 | 80 |' in report
@@ -101,9 +102,38 @@ def test_report_names_the_best_method_of_each_scene(tmp_path):
     assert (tmp_path / 'compare_scenes.png').exists() and (tmp_path / 'compare_roc.png').exists()
 
 
+def test_methods_are_added_to_a_report_without_searching_again_by_those_in_it():
+    def searched(*methods):
+        items = []
+
+        def noted(answer):
+            return lambda item: items.append(item) or answer(item)
+
+        result = SUITE.run(2, 1, Canned(answers={
+            'search': noted(search), 'statistics': noted(statistics)}), methods=methods)
+        return result, {as_text(item): list(item['methods']) for item in items}
+
+    few, first = searched('greedy', 'velocity_filter')
+    more, then = searched('convex-untold', 'greedy', 'convex', 'velocity_filter')
+    # What is kept of runs goes by these texts.
+    assert all(text in then for text in first)
+    assert {name for text, [name] in then.items() if text not in first} == {
+        'convex', 'convex-untold'}
+    names = [quantity.name for quantity in few.quantities]
+    assert 'line, SNR 2: best method' in names and not any('minus' in name for name in names)
+    names = [quantity.name for quantity in more.quantities]
+    # In the scene that a target enters ours would be "convex-partial".
+    assert 'line, SNR 2: convex minus the best other' in names
+    assert 'enters, SNR 2: convex-untold minus the best' in names
+    assert not any(name.startswith('enters') and name.endswith('best other') for name in names)
+    assert few.description.endswith('Compared here: greedy; velocity_filter.')
+    assert 'behind' not in few.details + more.details
+    assert '| scene | SNR | convex-untold | greedy | convex | velocity_filter |' in more.details
+
+
 def standing(gain, high, scene='line', ours='convex', rival='velocity_filter', **found):
-    found = {'convex': 0.7, 'convex, straight': 0.8, 'convex, fluctuating': 0.5,
-             'convex, partial': 0.4, rival: 0.8, **found}
+    found = {'convex': 0.7, 'convex-straight': 0.8, 'convex-fluctuating': 0.5,
+             'convex-partial': 0.4, rival: 0.8, **found}
     return Standing(scene, 1.5, ours, rival, gain, -0.2, high, found)
 
 
@@ -119,8 +149,8 @@ def test_reasons_are_given_where_ours_is_behind_and_follow_the_numbers():
     text = reasons([standing(-0.1, -0.01), standing(0.1, 0.2, 'arc')])
     assert 'Told the same, it finds 80.0 % (+0.0 points to velocity_filter), so motion' in text
     assert 'arc' not in text
-    text = reasons([standing(-0.1, -0.01, **{'convex, straight': 0.75})])
+    text = reasons([standing(-0.1, -0.01, **{'convex-straight': 0.75})])
     assert '(-5.0 points to velocity_filter), so the freedom to turn is not all of it.' in text
-    text = reasons([standing(-0.4, -0.01, 'enters', 'convex, partial', 'pc_dp')])
+    text = reasons([standing(-0.4, -0.01, 'enters', 'convex-partial', 'pc_dp')])
     assert 'it finds' not in text
     assert 'finds 70.0 %, told that they may enter and leave 40.0 %' in text

@@ -98,7 +98,9 @@ class Suite:
         told: dict[str, Any] = {} if data is None else {'data': data}
         if methods:
             if self.methods is None:
-                raise ParameterError('--methods is for the study real alone')
+                raise ParameterError(
+                    '--methods is for studies that can do with some of their methods; this one '
+                    f'has none to leave out, got {", ".join(methods)}')
             told['methods'] = self.methods(methods)
         result = self.study(runs, seed, runner, **told)
         return dataclasses.replace(

@@ -69,7 +69,7 @@ def reasons(standings: Sequence[Standing]) -> str:
 
 def _reason(one: Standing) -> str:
     """Say what the other method is told or spared, and what the variants of ours show of it."""
-    if one.ours == 'convex, partial':
+    if one.ours == 'convex-partial':
         whole, free = (100 * one.found[name] for name in ('convex', one.ours))
         return (
             f'free to enter and leave, paths compete with more noise than those of {one.rival}. '
@@ -77,7 +77,7 @@ def _reason(one: Standing) -> str:
             f'told that they may enter and leave {free:.1f} %. A lower cost of entering and '
             'leaving would find more of these, and fewer of those that stay.')
     if one.rival == 'velocity_filter':
-        straight = one.found['convex, straight']
+        straight = one.found['convex-straight']
         left = straight - one.found[one.rival]
         text = (
             f'{one.rival} adds up along straight lines alone, so fewer motions of noise compete '

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import named, ParameterError
 from track_before_detect.evaluation.engine.detectors import detector_of
 from track_before_detect.evaluation.engine.quantities import mean, mean_of, Quantity, share
 from track_before_detect.evaluation.engine.runner import Runner
@@ -22,12 +22,13 @@ from track_before_detect.evaluation.studies.compare import runs as compare_runs
 from track_before_detect.evaluation.studies.compare.details import reasons, roc_table, Standing
 from track_before_detect.evaluation.studies.compare.runs import CUTOFF_PX, FOUND_PX, SWITCH_PX
 from track_before_detect.options import DETECTORS
+from track_before_detect.runs.runner import Item, Measure
 
 SNRS = (1.5, 2.0, 3.0)
 RATE = 0.05
 OURS = 'convex'
-STRAIGHT, FLUCTUATING, PARTIAL = 'convex, straight', 'convex, fluctuating', 'convex, partial'
-UNTOLD = 'convex, untold'
+STRAIGHT, FLUCTUATING, PARTIAL = 'convex-straight', 'convex-fluctuating', 'convex-partial'
+UNTOLD = 'convex-untold'
 # Points by which the one that is told nothing may be behind the best of all.
 UNTOLD_MARGIN = 3
 # The convex detector told more or less of the targets.
@@ -47,22 +48,31 @@ NOISES = ('noise', 'noise six')
 Methods = Mapping[str, Mapping[str, Any]]
 
 
-def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
-    """Search all scenes by all detectors."""
-    wanted, refused = _methods()
+def run_compare(runs: int, seed: int, runner: Runner, *,
+                methods: Methods | None = None) -> SuiteResult:
+    """Search all scenes by all detectors.
+
+    Parameters
+    ----------
+    runs, seed, runner
+        As of :meth:`~track_before_detect.evaluation.engine.suite.Suite.run`.
+    methods : mapping, optional
+        Options of the detector by the name of the method; all unless given.
+    """
+    known, refused = _methods()
+    wanted = known if methods is None else methods
     names = list(wanted)
     by_noise = {noise: _with_thresholds(wanted, noise, RATE, runner) for noise in NOISES}
 
     def items(scene: str, snr: float, count: int) -> list[dict[str, Any]]:
-        methods = by_noise[NOISES[scenes.shape_of(scene) == scenes.SIX]]
         return items_of(seed, f'compare {scene} {snr:g}', count, scene=scene, snr=snr,
-                        methods=methods)
+                        methods=by_noise[NOISES[scenes.shape_of(scene) == scenes.SIX]])
 
     scene_items = [item for scene in scenes.SCENES for snr in SNRS
                    for item in items(scene, snr, runs)]
     noise_items = [item for noise in NOISES for item in items(noise, 0.0, 2 * runs)]
-    results = runner.map(compare_runs.search, scene_items, 'searching scenes')
-    noise = runner.map(compare_runs.search, noise_items, 'searching noise')
+    results = _each_alone(compare_runs.search, scene_items, 'searching scenes', runner)
+    noise = _each_alone(compare_runs.search, noise_items, 'searching noise', runner)
     curves = _rocs(wanted, runs, seed, runner)
 
     def gathered(key: str) -> NDArray[np.float64]:
@@ -98,7 +108,8 @@ def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
         'trajectory, each calibrated by its own method. A target is found by a trajectory less '
         f'than {FOUND_PX:g} px from it on average that is there in at least half of '
         'its frames; each counts once. Intervals: bootstrap over batches, which all methods '
-        'saw; Wilson for noise.' + (f' Not compared: {"; ".join(refused)}.' if refused else ''),
+        'saw; Wilson for noise.' + (f' Not compared: {"; ".join(refused)}.' if refused else '')
+        + ('' if methods is None else f' Compared here: {"; ".join(names)}.'),
         rows, _quantities(found, names, leaders, standings, alarms),
         {'snrs': SNRS, 'methods': by_noise},
         functools.partial(pictures.draw_found, means=found.mean(axis=2), snrs=SNRS, names=names,
@@ -106,7 +117,9 @@ def run_compare(runs: int, seed: int, runner: Runner) -> SuiteResult:
         {'scenes': pictures.draw_scenes,
          'roc': functools.partial(pictures.draw_roc, curves=curves, rate=RATE, ours=OURS)},
         '\n\n'.join([
-            reasons(standings), _details(gathered, found, targets, names, leaders),
+            # They are read off the variants of ours.
+            *([reasons(list(standings.values()))] if {OURS, *VARIANTS} <= set(names) else []),
+            _details(gathered, found, targets, names, leaders),
             roc_table(curves, f'{ROC_SCENE}, SNR {ROC_SNR:g}, as the threshold varies')]))
 
 
@@ -115,13 +128,28 @@ def _rocs(wanted: Methods, runs: int, seed: int, runner: Runner) -> dict[str, Ro
     methods = _with_thresholds(wanted, NOISES[0], ROC_RATE, runner)
 
     def searched(scene: str, snr: float, count: int) -> list[dict[str, Any]]:
-        return runner.map(compare_runs.statistics, items_of(
+        return _each_alone(compare_runs.statistics, items_of(
             seed, f'roc {scene} {snr:g}', count, scene=scene, snr=snr, methods=methods),
-            'varying the threshold')
+            'varying the threshold', runner)
 
     of_targets, of_noise = searched(ROC_SCENE, ROC_SNR, runs), searched(NOISES[0], 0.0, 2 * runs)
     return {name: roc([max(one[name]['right'], default=np.nan) for one in of_targets],
                       [one[name]['false'] for one in of_noise]) for name in methods}
+
+
+def _each_alone(measure: Measure, items: Sequence[Item], label: str,
+                runner: Runner) -> list[dict[str, Any]]:
+    """Return results by method, each of a run of its own: what is kept serves other choices."""
+    single = [{**item, 'methods': {name: options}}
+              for item in items for name, options in item['methods'].items()]
+    results = iter(runner.map(measure, single, label))
+    return [{name: next(results)[name] for name in item['methods']} for item in items]
+
+
+def chosen(names: Sequence[str]) -> Methods:
+    """Return the options of some methods by their names."""
+    known, _ = _methods()
+    return {name: named('method', name, known) for name in names}
 
 
 def _methods() -> tuple[dict[str, dict[str, str]], list[str]]:
@@ -158,43 +186,49 @@ def _leaders(found: NDArray, names: Sequence[str]) -> NDArray[np.int64]:
     """Return which method finds most by scene and SNR, of equal ones ours."""
     means = found.mean(axis=2)
     for number, scene in enumerate(scenes.SCENES):
-        means[number, :, names.index(ours_in(scene))] += 1e-9
+        if ours_in(scene) in names:
+            means[number, :, names.index(ours_in(scene))] += 1e-9
     return np.argmax(means, axis=2)
 
 
-def _standings(found: NDArray, names: Sequence[str]) -> list[Standing]:
-    """Compare ours with the best other method, by scene and SNR."""
+def _standings(found: NDArray, names: Sequence[str]) -> dict[tuple[str, float], Standing]:
+    """Compare ours with the best other method, by scene and SNR, where both were searched by."""
     others = [number for number, name in enumerate(names) if name not in (OURS, *VARIANTS)]
-    standings = []
+    standings = {}
     for (scene, label), (point, snr) in itertools.product(
             enumerate(scenes.SCENES), enumerate(SNRS)):
+        if not others or ours_in(label) not in names:
+            continue
         by_run = found[scene, point]
         means = by_run.mean(axis=0)
         rival = others[int(np.argmax(means[others]))]
         gain = by_run[:, names.index(ours_in(label))] - by_run[:, rival]
-        standings.append(Standing(
+        standings[label, snr] = Standing(
             label, snr, ours_in(label), names[rival], float(gain.mean()),
-            *bootstrap_interval(gain, mean_of),
-            dict(zip(names, means.tolist(), strict=True))))
+            *bootstrap_interval(gain, mean_of), dict(zip(names, means.tolist(), strict=True)))
     return standings
 
 
 def _quantities(found: NDArray, names: Sequence[str], leaders: NDArray,
-                standings: Sequence[Standing], alarms: NDArray) -> list[Quantity]:
+                standings: Mapping[tuple[str, float], Standing],
+                alarms: NDArray) -> list[Quantity]:
     quantities = []
-    points = itertools.product(range(len(scenes.SCENES)), range(len(SNRS)))
-    for (scene, point), standing in zip(points, standings, strict=True):
+    for (scene, label), (point, snr) in itertools.product(
+            enumerate(scenes.SCENES), enumerate(SNRS)):
         by_run, leader = found[scene, point], leaders[scene, point]
-        at = f'{standing.scene}, SNR {standing.snr:g}'
+        at = f'{label}, SNR {snr:g}'
         quantities.append(mean(f'{at}: best method', by_run[:, leader], 'batches', '%',
                                '; '.join(_equal_to(leader, by_run, names))))
-        quantities.append(Quantity(
-            f'{at}: {standing.ours} minus the best other', standing.gain, standing.low,
-            standing.high, len(by_run), 'batches', '%',
-            f'best other: {standing.rival}; {standing.verdict}'))
-        quantities.append(mean(
-            f'{at}: {UNTOLD} minus the best', by_run[:, names.index(UNTOLD)] - by_run[:, leader],
-            'batches', '%', f'goal: at least -{UNTOLD_MARGIN} %'))
+        if standing := standings.get((label, snr)):
+            quantities.append(Quantity(
+                f'{at}: {standing.ours} minus the best other', standing.gain, standing.low,
+                standing.high, len(by_run), 'batches', '%',
+                f'best other: {standing.rival}; {standing.verdict}'))
+        if UNTOLD in names:
+            quantities.append(mean(
+                f'{at}: {UNTOLD} minus the best',
+                by_run[:, names.index(UNTOLD)] - by_run[:, leader],
+                'batches', '%', f'goal: at least -{UNTOLD_MARGIN} %'))
     for number, noise in enumerate(NOISES):
         shape = ' x '.join(map(str, scenes.shape_of(noise)))
         for method, name in enumerate(names):
@@ -245,4 +279,4 @@ def _details(gathered: Callable[[str], NDArray], found: NDArray, targets: NDArra
 
 SUITE = Suite(
     'Every detector on eight scenes at SNR 1.5 to 3 (N batches each) at equal false alarms: '
-    'the best per scene, targets found, false trajectories, GOSPA.', run_compare)
+    'the best per scene, targets found, false trajectories, GOSPA.', run_compare, methods=chosen)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from track_before_detect.capabilities import capability
-from track_before_detect.errors import ParameterError, suggestion
+from track_before_detect.errors import named
 from track_before_detect.evaluation.studies.real.peers.registry import peers_installed
 from track_before_detect.options import DetectorOptions, DETECTORS
 from track_before_detect.tracking.presets import choose_for, NONE
@@ -40,10 +40,7 @@ def methods_and_peers(names: Sequence[str] = ()) -> dict[str, Mapping[str, Any] 
         There is no such method, or no such peer is installed.
     """
     known: dict[str, Mapping[str, Any] | None] = {**METHODS, **dict.fromkeys(peers_installed())}
-    for name in names:
-        if name not in known:
-            raise ParameterError(f'unknown method {name!r}; {suggestion(name, list(known))}')
-    return {name: known[name] for name in names or known}
+    return {name: named('method', name, known) for name in names or known}
 
 
 def options_of(method: Mapping[str, Any], frames: FrameSequence) -> DetectorOptions:
