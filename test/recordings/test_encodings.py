@@ -159,6 +159,7 @@ def test_layouts_of_one_frame_agree(sizes, strides):
     (['stamp=5.000000007', 'columns'], (5, 7, '')),
     (['rows', 'stamp=2147483647.999999999 frame_id=map/radar'],
      (2147483647, 999999999, 'map/radar')),
+    (['stamp=5.000000007 frame_id=left camera'], (5, 7, 'left camera')),
 ])
 def test_a_label_may_stamp_an_array(labels, expected):
     assert multiarray_stamp(labels) == expected

@@ -34,14 +34,16 @@ def status_of(status, warnings):
     ('failed', True, (DiagnosticStatus.ERROR, 'failed: for 3 x 5 frames')),
 ], ids=['well', 'recent warning', 'failed'])
 def test_the_worst_of_state_and_warning_is_the_level(state, warned, expected):
-    warnings = Warnings()
+    warnings = Warnings([].append)
     if warned:
         warnings.add('frames', 'a frame is missing')
     assert status_of(Status(state, 'for 3 x 5 frames'), warnings) == expected
 
 
 def test_a_warning_is_logged_once_of_each_kind_and_the_newest_is_kept():
-    warnings = Warnings()
-    logged = [warnings.add(kind, f'{kind} {k}') for k, kind in enumerate('aaba')]
-    assert logged == [True, False, True, False]
+    logged = []
+    warnings = Warnings(logged.append)
+    for k, kind in enumerate('aaba'):
+        warnings.add(kind, f'{kind} {k}')
+    assert logged == ['a 0', 'b 2']
     assert warnings.last == 'a 3'

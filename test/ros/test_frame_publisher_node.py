@@ -65,7 +65,7 @@ def test_a_scenario_arrives_as_stamped_arrays_with_its_truth(launch, station):
     publisher = launch(
         'frame_publisher', '-p', 'scenario:=three_targets', '-p', 'seed:=4', '-p',
         'message:=frame', '-p', 'rate_hz:=100.0', '-p', 'original_stamps:=true', '-p',
-        'scenario_set:=n_frames=15 snr=6')
+        'scenario_set:=n_frames=15 snr=6', '-p', 'frame_id:=left camera')
     station.wait_until(lambda: len(frames) == 15 and len(truth) == 3, 'frames and truth')
     assert publisher.wait() == 0
     assert 'done: 15 frames published' in publisher.output
@@ -74,7 +74,7 @@ def test_a_scenario_arrives_as_stamped_arrays_with_its_truth(launch, station):
         np.testing.assert_array_equal(conversions.frame_from_multiarray(message), frame)
         stamp = multiarray_stamp(dim.label for dim in message.layout.dim)
         assert stamp.sec + 1e-9 * stamp.nanosec == pytest.approx(stamp_s, abs=1e-9)
-        assert stamp.frame_id == 'camera'
+        assert stamp.frame_id == 'left camera'
     for message, target in zip(truth, range(3)):
         rows = simulated.truth[simulated.truth[:, 1] == target]
         positions = [(pose.pose.position.x, pose.pose.position.y) for pose in message.poses]
@@ -141,11 +141,15 @@ def test_a_bad_parameter_is_one_sentence_and_exit_code_2(launch, argument, sente
     assert sentence in publisher.output
 
 
-def test_complex_frames_are_refused_at_start(launch, tmp_path):
-    np.savez(tmp_path / 'complex.npz', frames=np.zeros((2, 4, 4), np.complex64))
-    publisher = launch('frame_publisher', '-p', f'input:={tmp_path / "complex.npz"}')
+@pytest.mark.parametrize(('kind', 'sentence'), [
+    (np.complex64, 'complex frames cannot be sent'),
+    (np.uint8, 'holds no stamp below 0 s, got -1.5 s: take message=image')])
+def test_frames_that_cannot_be_sent_are_refused_at_start(launch, tmp_path, kind, sentence):
+    np.savez(tmp_path / 'a.npz', frames=np.zeros((2, 4, 4), kind), stamps=[-1.5, 2.0])
+    publisher = launch('frame_publisher', '-p', f'input:={tmp_path / "a.npz"}', '-p',
+                       'message:=frame', '-p', 'original_stamps:=true')
     assert publisher.wait() == 2
-    assert 'complex frames cannot be sent' in publisher.output
+    assert sentence in publisher.output
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.errors import DataError
 
-STAMP_LABEL = re.compile(r'stamp=([0-9]{1,10})\.([0-9]{9})(?: frame_id=(\S{0,255}))?')
+STAMP_LABEL = re.compile(r'stamp=([0-9]{1,10})\.([0-9]{9})(?: frame_id=(.{0,255}))?')
 LUMINANCE_WEIGHTS = (0.299, 0.587, 0.114)
 
 # Encoding: item type, channels, and which of them are red, green and blue, or the one that is grey

@@ -186,7 +186,8 @@ class DetectorNode(ManagedNode):
         self._shown: set[int] = set()
         self._last_header = Header()
         self._frame_id = ''
-        self._warnings = Warnings()
+        self._warnings = Warnings(self.get_logger().warning)
+        self._warn = self._warnings.add
         self._reception = Reception()
         self._library_log = LibraryLog(self._warn)
         self._log_state, self._log_change, self._log_choice = (
@@ -564,13 +565,6 @@ class DetectorNode(ManagedNode):
         for reason in status.reasons:
             self._log_choice(f'preset {status.preset}: {reason}')
         self._log_choice(f'options: {option_words(status.options)}')
-
-    def _warn(self, kind: str, text: str) -> None:
-        """Show a warning in the diagnostics, and log it unless its kind was logged just now."""
-        with self._lock:
-            is_new = self._warnings.add(kind, text)
-        if is_new:
-            self.get_logger().warning(text)
 
     def _look_around(self) -> None:
         """Warn of what is wrong around the node, log what was held back, say how it is."""

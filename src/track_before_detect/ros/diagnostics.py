@@ -1,8 +1,9 @@
 """The diagnostics message of the detector, and the warnings it repeats."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 import math
+import threading
 import time
 from typing import Any
 
@@ -20,26 +21,31 @@ WARNING_PERIOD_S = 5.0
 
 @dataclass
 class Warnings:
-    """What went wrong last, and when each kind of it was logged.
+    """What went wrong last, and when each kind of it was logged; any thread may add to it.
 
     Attributes
     ----------
+    log : callable
+        Takes a sentence.
     last : str
         The newest warning, empty before the first.
     """
 
+    log: Callable[[str], Any]
     last: str = ''
     _last_s: float = -math.inf
     _logged_s: dict[str, float] = field(default_factory=dict)
+    _lock: threading.Lock = field(default_factory=threading.Lock)
 
-    def add(self, kind: str, text: str) -> bool:
-        """Keep a warning; return whether to log it: of each kind one in a few seconds."""
+    def add(self, kind: str, text: str) -> None:
+        """Keep a warning, and log it unless its kind was logged a few seconds ago."""
         now_s = time.monotonic()
-        self.last, self._last_s = text, now_s
-        if now_s - self._logged_s.get(kind, -math.inf) < WARNING_PERIOD_S:
-            return False
-        self._logged_s[kind] = now_s
-        return True
+        with self._lock:
+            self.last, self._last_s = text, now_s
+            if now_s - self._logged_s.get(kind, -math.inf) < WARNING_PERIOD_S:
+                return
+            self._logged_s[kind] = now_s
+        self.log(text)
 
     def are_recent(self) -> bool:
         """Return whether the newest warning is a few seconds old at most."""

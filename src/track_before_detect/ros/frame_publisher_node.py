@@ -29,7 +29,7 @@ from sensor_msgs.msg import Image
 from std_msgs.msg import Float32MultiArray, Header
 from std_srvs.srv import Trigger
 
-from track_before_detect.errors import ParameterError
+from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.ros import conversions
 from track_before_detect.ros.diagnostics import status_message
 from track_before_detect.ros.executables.ending import Ending
@@ -134,6 +134,10 @@ class FramePublisherNode(ParameterizedNode):
         conversions.sendable(np.asarray(played.frames[0]))
         conversions.time_from_seconds(float(played.stamps[-1]))
         self._as_image = values['message'] == 'image'
+        if not self._as_image and values['original_stamps'] and played.stamps[0] < 0:
+            raise DataError(
+                'the label that stamps a message of message=frame holds no stamp below 0 s, got '
+                f'{played.stamps[0]:g} s: take message=image or original_stamps=false')
         self.finished = self._begun = False
         self._n_published = self._n_late = self._n_rounds = self._n_clocks = 0
         self._ahead_s = 0.0

@@ -11,6 +11,7 @@ from numba.core.dispatcher import Dispatcher
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.ring.merit_functions import METHODS
+from track_before_detect.solvers.search.coarse_to_fine import cells_may_lead
 from track_before_detect.types import Count, Progress
 
 LABEL = 'compiling'
@@ -130,8 +131,8 @@ def entries_of(options: DetectorOptions) -> tuple[str, ...]:
 def searches_cells(options: DetectorOptions) -> bool:
     """Return whether the paths of fast targets are sought among cells of positions first."""
     return (_OF_DETECTORS.get(options.detector) is None and options.detector not in METHODS
-            and options.presence == 'full' and options.exposure_s == 0
-            and options.calibration != 'clutter')
+            and cells_may_lead(options.calibration != 'clutter', options.exposure_s > 0,
+                               options.presence == 'partial'))
 
 
 def _of_search(options: DetectorOptions) -> tuple[str, ...]:

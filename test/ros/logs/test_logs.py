@@ -43,7 +43,6 @@ def test_what_the_library_warns_of_is_handed_on_in_one_line_until_closed(recwarn
             ours.exception('the search has ended')
     finally:
         log.close()
-        logging.captureWarnings(False)
     ours.warning('too late')
     kinds, texts = zip(*heard, strict=True)
     assert texts[:2] == ('the pixels have a median of 1', 'the pixels have a median of 2')
@@ -51,6 +50,23 @@ def test_what_the_library_warns_of_is_handed_on_in_one_line_until_closed(recwarn
     assert texts[2] == 'a number is too large (RuntimeWarning of test_logs)'
     assert 'the search has ended' in texts[3] and 'ZeroDivisionError: by hand' in texts[3]
     assert len(heard) == 4
+
+
+def test_warnings_go_where_they_went_once_nobody_hands_them_on():
+    before = warnings.showwarning
+    one, other = (LibraryLog(lambda *_: None) for _ in range(2))
+    one.close()
+    one.close()
+    assert warnings.showwarning is not before
+    other.close()
+    assert warnings.showwarning is before
+    logging.captureWarnings(True)
+    try:
+        captured = warnings.showwarning
+        LibraryLog(lambda *_: None).close()
+        assert warnings.showwarning is captured
+    finally:
+        logging.captureWarnings(False)
 
 
 @pytest.mark.parametrize('kind', ['given', 'home', 'none', 'file'])

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 import logging
+from typing import ClassVar
+import warnings
 
 from track_before_detect.recordings.read_errors import said_by_library
 
@@ -12,16 +14,26 @@ _NAMES = ('track_before_detect', 'py.warnings')
 class LibraryLog(logging.Handler):
     """Hands warnings of the library on until it is closed.
 
+    With the last one that is closed Python's warnings go where they went before.
+
     Parameters
     ----------
     warn : callable
         Takes a kind, for throttling, and a sentence.
     """
 
+    _open: ClassVar[set['LibraryLog']] = set()
+    _captures: ClassVar[bool] = False
+
     def __init__(self, warn: Callable[[str, str], None]) -> None:
         super().__init__(logging.WARNING)
         self._warn = warn
-        logging.captureWarnings(True)
+        if not self._open:
+            before = warnings.showwarning
+            logging.captureWarnings(True)
+            # Otherwise somebody else had it done, who may go on.
+            LibraryLog._captures = warnings.showwarning is not before
+        self._open.add(self)
         for name in _NAMES:
             logging.getLogger(name).addHandler(self)
 
@@ -36,4 +48,8 @@ class LibraryLog(logging.Handler):
         """Hand on no more."""
         for name in _NAMES:
             logging.getLogger(name).removeHandler(self)
+        self._open.discard(self)
+        if self._captures and not self._open:
+            logging.captureWarnings(False)
+            LibraryLog._captures = False
         super().close()

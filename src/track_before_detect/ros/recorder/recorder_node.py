@@ -73,7 +73,8 @@ class RecorderNode(ParameterizedNode):
         self._missing = sorted({self._full_name(topic) for topic in values['topics'].split()})
         if not self._missing:
             raise ParameterError('topics must name a topic at least')
-        self._warnings = Warnings()
+        self._warnings = Warnings(self.get_logger().warning)
+        self._warn = self._warnings.add
         self._counts: dict[str, int] = {}
         self._n_left_out = self._n_lost = 0
         self._trouble = ''
@@ -191,10 +192,6 @@ class RecorderNode(ParameterizedNode):
         if self._trouble:
             self._trouble = ''
             self.get_logger().info(f'{self._path} can be written again')
-
-    def _warn(self, kind: str, text: str) -> None:
-        if self._warnings.add(kind, text):
-            self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
         self._diagnostics.publish(status_message(

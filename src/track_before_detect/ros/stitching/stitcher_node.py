@@ -64,7 +64,8 @@ class StitcherNode(ParameterizedNode):
         self._names: list[str] = values['inputs']
         self._rounds = Rounds(len(self._names), values['wait_s'])
         self._stitcher = RegionStitcher(values['psf_sigma_px'])
-        self._warnings = Warnings()
+        self._warnings = Warnings(self.get_logger().warning)
+        self._warn = self._warnings.add
         self._n_received = [0] * len(self._names)
         self._n_rounds = self._n_incomplete = self._n_twice = self._n_trajectories = 0
         self._n_restarts = self._n_refused = self._n_lost = 0
@@ -140,10 +141,6 @@ class StitcherNode(ParameterizedNode):
     def _unheard(self, topic: str, _: int, policy: str) -> None:
         self._warn(f'qos {topic}', f'a publisher on {topic!r} offers a quality of service '
                    f'({policy}) that this node cannot take, so nothing is received from it')
-
-    def _warn(self, kind: str, text: str) -> None:
-        if self._warnings.add(kind, text):
-            self.get_logger().warning(text)
 
     def _publish_diagnostics(self) -> None:
         silent = [self._names[region] for region in sorted(self._rounds.silent)]

@@ -326,11 +326,16 @@ def path_table(graph: StateGraph, grid_shape: tuple[int, int], n_threads: int = 
     ``few_pass`` says that the levels which are asked for are passed by few states.
     """
     n_states = graph.n_segments * graph.n_velocities * float(np.prod(grid_shape))
-    if (few_pass and n_states >= LEAST_STATES and graph.n_velocities >= LEAST_VELOCITIES
-            and kinds is None and presence is None
+    if (cells_may_lead(few_pass, kinds is not None, presence is not None)
+            and n_states >= LEAST_STATES and graph.n_velocities >= LEAST_VELOCITIES
             and cell_bytes(graph, grid_shape) <= most_bytes):
         return CoarseToFine(graph, grid_shape, n_threads, most_bytes)
     return ViterbiTable(graph, grid_shape, n_threads, kinds, presence, most_bytes)
+
+
+def cells_may_lead(few_pass: bool, has_kinds: bool, has_presence: bool) -> bool:
+    """Return whether :func:`path_table`, told such, may seek paths among cells first."""
+    return few_pass and not has_kinds and not has_presence
 
 
 def cell_bytes(graph: StateGraph, grid_shape: tuple[int, int]) -> int:
