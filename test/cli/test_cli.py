@@ -454,7 +454,7 @@ def test_a_long_search_is_left_at_once(tmp_path, number, code):
     try:
         while 'searching' not in search.stderr.readline():
             assert search.poll() is None
-        time.sleep(3)
+        time.sleep(1.5)
         search.send_signal(number)
         sent = time.monotonic()
         _, said = search.communicate(timeout=30)

@@ -64,7 +64,7 @@ def test_workers_find_the_same_and_a_run_begun_again_does_what_is_missing(record
              for number in range(3)}
     shutil.rmtree(shared / '1')
     shutil.copy(recordings / '0.npz', recordings / 'torn.npz')
-    code, said = run(recordings, shared, *workers)
+    code, said = run(recordings, shared, '--scheduler', 'local', '--jobs', '1')
     assert code == 0, said
     assert sorted(path.name for path in shared.iterdir() if path.is_dir()) == [
         '0', '1', '2', 'torn']

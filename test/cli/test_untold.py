@@ -27,15 +27,20 @@ def found_in(folder, recording):
     return [np.array(rows) for rows in trajectories.values()]
 
 
-AT_THE_LIMIT = {
-    ('photons', 103): 'an SNR of 4.5 among few counts: rounding decides whether it passes'}
+TOO_DIM = {
+    ('photons', 103): 'an SNR of 4.5 among few counts: in the first batch the target reaches '
+                      'three quarters of the threshold, so that 44 of 60 frames have it'}
+# The pixels are those of one and the same camera, so that a variant each is enough.
+OF_STAMPS = {'first_stamp_zero': 0, 'nanosecond_stamps': 1, 'dropped': 2}
 
 
 def variants_of_kinds():
     for kind in KINDS:
-        for variant in VARIANTS:
-            reason = AT_THE_LIMIT.get((kind, variant.seed))
-            marks = [pytest.mark.xfail(strict=False, reason=reason)] if reason else []
+        for number, variant in enumerate(VARIANTS):
+            if OF_STAMPS.get(kind, number) != number:
+                continue
+            reason = TOO_DIM.get((kind, variant.seed))
+            marks = [pytest.mark.xfail(strict=True, reason=reason)] if reason else []
             yield pytest.param(kind, variant, marks=marks, id=f'{kind}-{variant.seed}')
 
 
@@ -49,7 +54,8 @@ def test_the_target_is_the_one_trajectory(tmp_path, kind, variant):
     assert np.mean(near) >= 0.8
 
 
-@pytest.mark.parametrize('kind', list(KINDS))
+# Where stamps alone differ the noise is the same; 'dropped' stands for them.
+@pytest.mark.parametrize('kind', [kind for kind in KINDS if OF_STAMPS.get(kind, 2) == 2])
 def test_hardly_anything_is_found_without_a_target(tmp_path, kind):
     # Asked for is one in twenty of about ten batches.
     assert len(found_in(tmp_path, KINDS[kind](VARIANTS[0], False))) <= 1

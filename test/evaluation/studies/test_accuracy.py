@@ -36,12 +36,10 @@ def test_accuracy_of_bright_targets_is_near_the_bound():
 ITEM = {'snr': 20.0, 'sigma_px': 1.0, 'threshold': 9.0, 'side_px': 64}
 
 
-@pytest.mark.parametrize('backend', ['loky', 'dask'])
-def test_other_processes_give_the_same_results(backend):
+def test_other_processes_give_the_same_results():
+    # Those of a cluster: cli/test_many_recordings.py.
     pytest.importorskip('joblib')
-    if backend == 'dask':
-        pytest.importorskip('distributed')
     items = [{**ITEM, 'seed': seed} for seed in range(3)]
     here = Runner(quiet).map(isolated_target, items, 'measuring')
-    there = Runner(quiet, Workers(2, backend)).map(isolated_target, items, 'measuring')
+    there = Runner(quiet, Workers(2, 'loky')).map(isolated_target, items, 'measuring')
     assert there == here
