@@ -250,7 +250,7 @@ def test_noise_yields_no_more_than_the_requested_false_alarms(calibrate_on):
     # has a chance below 0.1 % at a true rate of 7.5 %.
     calibrate_on(200)
     generator = np.random.default_rng(77)
-    alarms = sum(bool(tbd.detect(generator.standard_normal((20, 128, 128))).trajectories)
+    alarms = sum(bool(tbd.detect(generator.standard_normal((20, 96, 96))).trajectories)
                  for _ in range(40))
     assert alarms <= 8
 

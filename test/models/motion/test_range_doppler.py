@@ -171,7 +171,7 @@ def test_target_is_found_with_any_amplitudes_and_presence(amplitudes, presence):
 def test_realised_rate_in_noise_is_the_requested_one(tmp_path, monkeypatch):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     monkeypatch.setattr(threshold, 'N_CROPS', 150)
-    n_runs, rate, shape = 300, 0.3, (180, 24)
+    n_runs, rate, shape = 200, 0.3, (180, 24)
     detector = ConvexDetector(DetectorOptions(
         psf_sigma_px=2.0, motion_model='range_doppler', range_bins_per_doppler_bin=0.5,
         false_alarm_rate=rate))

@@ -269,7 +269,7 @@ def test_range_doppler_target_may_leave():
     ('non-negative', 'constant')])
 def test_realised_rate_in_noise_is_the_requested_one(amplitudes, model, calibrate_on):
     calibrate_on(400)
-    n_runs, rate, shape = 300, 0.3, (48, 48)
+    n_runs, rate, shape = 200, 0.3, (40, 40)
     detector = ConvexDetector(DetectorOptions(
         psf_sigma_px=2.0, presence='partial', amplitudes=amplitudes, amplitude_model=model,
         false_alarm_rate=rate))
