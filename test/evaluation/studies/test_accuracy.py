@@ -23,14 +23,14 @@ def test_bound_is_the_inverse_of_the_information_in_the_frames():
 
 
 def test_accuracy_of_bright_targets_is_near_the_bound():
-    result = run_accuracy(12, 1, Canned(), snrs=(30.0,), side_px=40)
+    result = run_accuracy(8, 1, Canned(), snrs=(30.0,), side_px=40)
     by_name = {quantity.name: quantity for quantity in result.quantities}
     assert by_name['SNR 30: target found'].value == 1.0
     assert 0.6 < by_name['SNR 30: position RMSE over the bound'].value < 1.6
     assert by_name['SNR 30: no second trajectory of the target'].value == 1
     assert by_name['SNR 30: amplitude over the true one'].value == pytest.approx(1, abs=0.02)
     assert by_name['SNR 30, target of 1.3 px: no second trajectory of it'].value > 0.7
-    assert len(result.rows) == 24
+    assert len(result.rows) == 16
 
 
 ITEM = {'snr': 20.0, 'sigma_px': 1.0, 'threshold': 9.0, 'side_px': 64}
