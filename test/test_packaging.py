@@ -53,7 +53,8 @@ ALLOWED = {
                      'option_models', 'option_tables', 'recordings', 'results', 'runs',
                      'simulation', 'solvers', 'tracking'},
     'option_tables': {'options', 'capabilities'},
-    'ros': BASICS | {'__init__', 'cli', 'option_tables', 'recordings', 'simulation', 'tracking'},
+    'ros': BASICS | {'__init__', 'cli', 'inspection', 'option_tables', 'recordings', 'simulation',
+                     'tracking'},
 }
 # The same within a room, for its folders and for files that lie beside them. What is not listed
 # here, such as the files at the top of the solvers, binds the others together.

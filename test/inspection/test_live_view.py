@@ -1,6 +1,5 @@
 """``tbd view``: what is shown on rerun, read from the file that it saves."""
 
-from collections import defaultdict
 import subprocess
 import sys
 
@@ -9,8 +8,11 @@ import pytest
 
 from track_before_detect.cli import main
 from track_before_detect.simulation.sensor import add_target
+from views.page import make_clip, opened_page, RATE_HZ, wait_until_shown
+from views.rows import rows_of
 
 N_FRAMES, SHAPE = 8, (24, 40)
+PROGRAM = 'import sys; from track_before_detect.cli import main; sys.exit(main(sys.argv[1:]))'
 
 
 @pytest.fixture
@@ -22,21 +24,6 @@ def recording_file(tmp_path):
         add_target(frames[t], x, y, 1.0, 25.0)
     np.savez(tmp_path / 'a.npz', frames=frames, fps=25, truth=truth)
     return tmp_path / 'a.npz'
-
-
-def rows_of(path):
-    """Return the rows of each entity of a file by frame, components by the last of their names."""
-    chunk = pytest.importorskip('rerun.chunk', reason='this rerun cannot read what it writes')
-    rows = defaultdict(dict)
-    for one in chunk.RrdReader(path).stream().to_chunks():
-        batch = one.to_record_batch()
-        # The time of logging is in nanoseconds, which Python's own times cannot hold.
-        for row in batch.drop_columns(
-                [name for name in batch.schema.names if name == 'log_time']).to_pylist():
-            if row.get('frame') is not None:
-                rows[one.entity_path].setdefault(row['frame'], {}).update(
-                    {name.rpartition(':')[2]: value for name, value in row.items()})
-    return rows
 
 
 def test_frames_trajectories_truth_and_statistic_are_shown_over_time(
@@ -85,6 +72,24 @@ def test_a_result_is_shown_as_it_was_found_without_another_search(
         assert shown['labels'][0].startswith('7  ')
 
 
+def test_a_page_shows_the_trajectory_of_a_clip_where_it_is(tmp_path):
+    pytest.importorskip('rerun', reason='the extra [view] is missing')
+    frames, positions = make_clip()
+    np.savez(tmp_path / 'clip.npz', frames=frames, fps=RATE_HZ)
+    told = [part for option in ('background=temporal_median', 'noise=robust', 'threshold=12',
+                                'batch_length=20') for part in ('--set', option)]
+    with subprocess.Popen(
+            [sys.executable, '-c', PROGRAM, 'view', tmp_path / 'clip.npz', '--preset', 'none',
+             *told, '--web'], stdout=subprocess.PIPE, text=True) as command:
+        try:
+            address = command.stdout.readline().partition(' ')[0]
+            with opened_page(address) as page:
+                wait_until_shown(page, positions[15:], 1, tmp_path)
+        finally:
+            command.terminate()
+        assert command.stdout.read().startswith('clip.npz: 1 trajectories')
+
+
 def test_a_result_whose_recording_is_gone_names_it(recording_file, tmp_path, capsys):
     pytest.importorskip('rerun', reason='the extra [view] is missing')
     output = tmp_path / 'output'
@@ -108,7 +113,7 @@ def test_without_rerun_the_extra_is_named(recording_file):
 
 
 @pytest.mark.parametrize(('arguments', 'fragment'), [
-    (['--save', 'a.txt'], 'must end with .rrd'), (['--save', 'no/such/a.rrd'], 'no/such')])
+    (['--save', 'a.txt'], '--save must end with .rrd'), (['--save', 'no/such/a.rrd'], 'no/such')])
 def test_a_file_that_cannot_be_saved_is_refused(recording_file, capsys, arguments, fragment):
     pytest.importorskip('rerun', reason='the extra [view] is missing')
     assert main(['view', str(recording_file), *arguments]) == 2

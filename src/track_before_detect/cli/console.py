@@ -106,12 +106,12 @@ def check_output_folder(output: Path) -> None:
         raise ParameterError(f'--output {output} cannot be written: no permission in {existing}')
 
 
-def check_output_file(output: Path, *suffixes: str) -> None:
+def check_output_file(output: Path, *suffixes: str, name: str = '--output') -> None:
     """Refuse before the work a file of another type, or one in a folder that does not exist."""
     if output.suffix not in suffixes:
-        raise ParameterError(f'--output must end with {" or ".join(suffixes)}, got {output}')
+        raise ParameterError(f'{name} must end with {" or ".join(suffixes)}, got {output}')
     if not output.parent.is_dir():
-        raise ParameterError(f'folder {output.parent} of --output does not exist')
+        raise ParameterError(f'folder {output.parent} of {name} does not exist')
 
 
 def require_extra(package: str, extra: str, what: str, otherwise: str = '') -> None:

@@ -84,6 +84,7 @@ from track_before_detect.ros.managed_node import (
 from track_before_detect.ros.outputs.field_outputs import FieldOutputs, SCALE_PARAMETERS
 from track_before_detect.ros.outputs.head import Head
 from track_before_detect.ros.outputs.seen_targets import RadarScale
+from track_before_detect.ros.outputs.stream_view import check_view, StreamView, VIEW
 from track_before_detect.ros.parameters import NodeParameter, option_parameters, option_values
 from track_before_detect.ros.search_results import StreamResult
 from track_before_detect.ros.worker import StreamWorker
@@ -161,6 +162,7 @@ PARAMETERS = [
     *SENSORS,
     *CAMERA_PARAMETERS,
     *SCALE_PARAMETERS,
+    VIEW,
     AUTOSTART,
 ]
 
@@ -179,6 +181,7 @@ class DetectorNode(ManagedNode):
 
     _sensors: Sequence[SensorInput] = ()
     _region: Region | None = None
+    _view: StreamView | None = None
 
     def __init__(self, name: str = 'detector', **settings: Any) -> None:
         super().__init__(name, PARAMETERS, **settings)
@@ -215,14 +218,17 @@ class DetectorNode(ManagedNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Prepare the search; return once that is done."""
+        self._view = self._make_view()
         self._worker = self._make_worker()
         self._field_outputs.reset()
         if self._ending:
             return TransitionCallbackReturn.FAILURE
+        if self._view is not None:
+            self._view.start()
         self._worker.start()
         if not self._worker.wait_until_prepared():
             if not self._ending:
-                self._worker.stop(STOP_TIMEOUT_S)
+                self._stop_search()
             return TransitionCallbackReturn.FAILURE
         return super().on_configure(state)
 
@@ -264,7 +270,7 @@ class DetectorNode(ManagedNode):
     def destroy_node(self) -> None:
         """Stop the search, waiting for it a moment, then destroy the node."""
         self._active, self._ending = False, True
-        self._worker.stop(STOP_TIMEOUT_S)
+        self._stop_search()
         self.wait_for_start(STOP_TIMEOUT_S)
         self._library_log.close()
         super().destroy_node()
@@ -283,6 +289,7 @@ class DetectorNode(ManagedNode):
             flush_after_s=values['flush_after_s'] or None, sensors=tuple(
                 LookedAt(one.name, one.shape, one.view.noise_sigma) for one in self._sensors))
         self._make_pipeline(request.unseen.options, None)
+        check_view(values)
         RadarScale.of(values)
         region = Region.of({**values, 'doppler_ambiguities':
                             request.unseen.options.doppler_ambiguities})
@@ -291,6 +298,9 @@ class DetectorNode(ManagedNode):
         if values['camera_info'] and self._sensors:
             raise ParameterError('camera_info tells of one sensor, got '
                                  f'{values["camera_info"]!r} beside {len(self._sensors)} sensors')
+        if values['view'] and self._sensors:
+            raise ParameterError(f'view shows one sensor, got {values["view"]!r} beside '
+                                 f'{len(self._sensors)} sensors')
         # Kept, so that the files that options name are not read again for what comes next.
         self._request = request
 
@@ -327,13 +337,28 @@ class DetectorNode(ManagedNode):
     def _make_pipeline(self, options: DetectorOptions, earlier: Any) -> StreamPipeline:
         """Return what searches the batches of one sensor, or of several together."""
         if not self._sensors:
-            return TrackingPipeline(options, earlier)
+            return TrackingPipeline(
+                options, earlier, observe=None if self._view is None else self._view.observe)
         views, shapes = zip(*((one.view, one.shape) for one in self._sensors), strict=True)
         return SensorPipeline(SensorPlane(views, shapes, options), options, earlier)
 
-    def _release(self) -> None:
-        """Stop the worker and unsubscribe from frames."""
+    def _make_view(self) -> StreamView | None:
+        """Return a view that was not started yet, None where nothing is to be shown."""
+        where = self.values()['view']
+        return StreamView(where, lambda place: self.get_logger().info(f'view: {place}'),
+                          self._warn) if where else None
+
+    def _stop_search(self) -> None:
+        """Stop the worker, and what shows its batches."""
+        if self._view is not None:
+            self._view.close()
         self._worker.stop(STOP_TIMEOUT_S)
+        if self._view is not None:
+            self._view.join(STOP_TIMEOUT_S)
+
+    def _release(self) -> None:
+        """Stop the search and unsubscribe from frames."""
+        self._stop_search()
         while self._inputs:
             self.destroy_subscription(self._inputs.pop())
 
@@ -497,6 +522,8 @@ class DetectorNode(ManagedNode):
         if self.context.ok() and self._overlay.get_subscription_count():
             pixels = render_overlay(*self._newest_frame(searched))
             self._send(self._overlay, conversions.image_from_colours(pixels, header))
+        if self._view is not None:
+            self._view.show(searched)
         if self.context.ok():
             for output, message in self._field_outputs.messages(
                     result, self._worker.status.options):
