@@ -523,7 +523,7 @@ class DetectorNode(ManagedNode):
             pixels = render_overlay(*self._newest_frame(searched))
             self._send(self._overlay, conversions.image_from_colours(pixels, header))
         if self._view is not None:
-            self._view.show(searched)
+            self._view.show(searched, is_late=len(self._worker.queue) > result.hop)
         if self.context.ok():
             for output, message in self._field_outputs.messages(
                     result, self._worker.status.options):

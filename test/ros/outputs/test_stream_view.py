@@ -75,6 +75,19 @@ def searched(view, first):
     return StreamResult(found, batch, {}, 1 / RATE_HZ, OPTIONS['hop'])
 
 
+def wait_until_taken(view):
+    end_s = time.monotonic() + TIMEOUT_S
+    while view.next is not None and time.monotonic() < end_s:
+        time.sleep(0.01)
+
+
+def end_of(view):
+    """End a view once it has shown what it was handed."""
+    wait_until_taken(view)
+    view.close()
+    assert view.join(TIMEOUT_S)
+
+
 def test_a_file_shows_what_the_node_searches_and_is_whole_after_cleanup(launch, station, tmp_path):
     pytest.importorskip('rerun', reason='the extra [view] is missing')
     saved = tmp_path / 'a.rrd'
@@ -177,14 +190,24 @@ def test_of_batches_that_wait_the_newest_is_shown_and_nobody_waits_for_it(tmp_pa
     for first in (0, 10, 20):
         view.show(searched(view, first))
     go_on.set()
-    end_s = time.monotonic() + TIMEOUT_S
-    while view.next is not None and time.monotonic() < end_s:
-        time.sleep(0.01)
-    view.close()
-    assert view.join(TIMEOUT_S)
+    end_of(view)
     assert sorted(rows_of(tmp_path / 'a.rrd')['/frame']) == list(range(20, 40))
-    assert said == [('view behind', 'view cannot keep up with the search: '
-                             f'{n} batches were not shown so far') for n in (1, 2)]
+    assert said == [('left out', f'{n} batches were not shown so far in the view, which gives '
+                     'way to the search') for n in (1, 2)]
+
+
+def test_where_the_search_is_late_a_batch_is_shown_now_and_then(tmp_path):
+    pytest.importorskip('rerun', reason='the extra [view] is missing')
+    said = []
+    view = StreamView(str(tmp_path / 'a.rrd'), lambda _: None, lambda *words: said.append(words))
+    first, second = searched(view, 0), searched(view, 20)
+    view.show(first, is_late=True)
+    wait_until_taken(view)
+    for _ in range(2):
+        view.show(second, is_late=True)
+    end_of(view)
+    assert [words.partition(' ')[0] for _, words in said] == ['1', '2']
+    assert sorted(rows_of(tmp_path / 'a.rrd')['/frame/trajectories']) == list(range(20))
 
 
 @pytest.mark.parametrize(('where', 'fragment'), [

@@ -2,7 +2,9 @@
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+import math
 from pathlib import Path
+import time
 from typing import Any
 
 from track_before_detect.cli.console import check_output_file, require_extra
@@ -15,6 +17,8 @@ from track_before_detect.ros.search_results import StreamResult
 from track_before_detect.tracking.pipeline import Searched
 from track_before_detect.types import FrameBatch
 
+# From one batch shown to the next where the search is late, so that it keeps the processor.
+LATE_PERIOD_S = 2.0
 WEB, SUFFIX = 'web', '.rrd'
 VIEW = NodeParameter(
     'view', '', 'Where to show what tbd view shows, while it is searched (extra [view]): web is a '
@@ -53,6 +57,7 @@ class StreamView(OwnThread[tuple[list[Searched], StreamResult]]):
         self._on_warning = on_warning
         self._searched: list[Searched] = []
         self._n_left_out = 0
+        self._shown_s = -math.inf
 
     def start(self) -> None:
         """Open the page or the file, which takes seconds, in the thread."""
@@ -62,16 +67,19 @@ class StreamView(OwnThread[tuple[list[Searched], StreamResult]]):
         """Keep what is known of the batch that is being searched beside one background."""
         self._searched = [*self._of(searched.batch), searched]
 
-    def show(self, result: StreamResult) -> None:
-        """Have a batch shown; nothing waits for that."""
-        with self.changed:
-            is_behind = self.next is not None
-            self.hand_over((self._of(result.batch), result))
+    def show(self, result: StreamResult, is_late: bool = False) -> None:
+        """Have a batch shown, now and then where the search is late; nothing waits for that."""
+        leaves_out = is_late and time.monotonic() - self._shown_s < LATE_PERIOD_S
+        if not leaves_out:
+            self._shown_s = time.monotonic()
+            with self.changed:
+                leaves_out = self.next is not None
+                self.hand_over((self._of(result.batch), result))
         self._searched = []
-        if is_behind:
+        if leaves_out:
             self._n_left_out += 1
-            self._on_warning('view behind', 'view cannot keep up with the search: '
-                             f'{self._n_left_out} batches were not shown so far')
+            self._on_warning('left out', f'{self._n_left_out} batches were not shown so far in '
+                             'the view, which gives way to the search')
 
     def run(self) -> None:
         """Show what is handed over."""
@@ -90,7 +98,7 @@ class StreamView(OwnThread[tuple[list[Searched], StreamResult]]):
                     stream.flush()
         except Exception as error:
             self.close()
-            self._on_warning('view ended', f'the node goes on without view: {error}')
+            self._on_warning('view', f'the node goes on without view: {error}')
 
     def _show_next(self, view: LiveView) -> bool:
         """Show a batch as soon as there is one; return whether there was."""
