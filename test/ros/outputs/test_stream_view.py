@@ -1,5 +1,6 @@
 """The node shows its search on rerun, beside it, and goes on where it cannot."""
 
+from functools import partial
 import signal
 import sys
 import threading
@@ -75,6 +76,10 @@ def searched(view, first):
     return StreamResult(found, batch, {}, 1 / RATE_HZ, OPTIONS['hop'])
 
 
+def grown(path, size):
+    return path.stat().st_size > size
+
+
 def wait_until_taken(view):
     end_s = time.monotonic() + TIMEOUT_S
     while view.next is not None and time.monotonic() < end_s:
@@ -96,9 +101,16 @@ def test_a_file_shows_what_the_node_searches_and_is_whole_after_cleanup(launch, 
     station.listen(DiagnosticArray, '/diagnostics')
     publisher = station.publisher(Image, 'image', RELIABLE)
     frames, positions = make_clip()
-    for k in range(0, len(frames), 10):
+    send(station, publisher, frames[:10])
+    for k in range(10, len(frames), 10):
+        size = saved.stat().st_size
         send(station, publisher, frames[k:k + 10], k)
-        station.wait_for_diagnostics(frames_used=k + 10, batches=max(0, k // 10))
+        station.wait_for_diagnostics(frames_used=k + 10, batches=k // 10)
+        # Nothing else tells that a batch is shown; one that comes before that may be left out.
+        station.wait_until(partial(grown, saved, size), 'a batch in the file')
+        size = 0
+        while size < (size := saved.stat().st_size):
+            station.spin_for(0.5)
     request = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_DEACTIVATE))
     assert station.call(ChangeState, 'detector/change_state', request).success
     request.transition.id = Transition.TRANSITION_CLEANUP
