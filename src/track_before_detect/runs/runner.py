@@ -56,6 +56,7 @@ class Runner:
 
     def each(self, measure: Measure, items: Sequence[Item], label: str,
              counts: Callable[[Item, Mapping[str, Any]], bool] = lambda item, result: True,
+             instead: Callable[[Item], Mapping[str, Any]] | None = None,
              ) -> Generator[tuple[int, dict[str, Any]]]:
         """Yield number and result of each item, those known before first, others as they come.
 
@@ -67,6 +68,8 @@ class Runner:
             As of :meth:`map`.
         counts : callable
             Told an item and what is kept of it, says whether it is not to be run again.
+        instead : callable, optional
+            Told an item with which every worker dies, returns its result; an error without one.
         """
         known = {} if self.kept is None else self.kept.load(measure)
         # An item that is asked for twice is run once.
@@ -83,7 +86,8 @@ class Runner:
         with ExitStack() as stack:
             keep = None if self.kept is None else stack.enter_context(self.kept.writer(measure))
             # Closing ends the workers when an error or an interrupt ends the loop.
-            results = self.workers.run(_Call(measure), [item for item, _ in missing.values()])
+            results = self.workers.run(_Call(measure), [item for item, _ in missing.values()],
+                                       None if instead is None else _Call(instead))
             stack.callback(results.close)  # type: ignore[attr-defined]
             for key, text in results:
                 if keep is not None:

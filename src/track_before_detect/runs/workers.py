@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
 import logging
 from typing import Any
 
@@ -46,13 +47,42 @@ class Workers:
             raise ParameterError(
                 f'scheduler needs the backend {" or ".join(CLUSTERS)}, got {self.backend!r}')
 
-    def run(self, call: Callable[[Any], Any], arguments: Sequence[Any]) -> Iterator[Any]:
+    @contextmanager
+    def staying(self) -> Iterator['Workers']:
+        """Yield workers that stay from one run to the next, where each would start its own."""
+        if self.backend != 'dask' or self.scheduler is not None:
+            yield self
+            return
+        with ExitStack() as stack:
+            with _naming_what_is_missing('dask', None):
+                import dask
+                from distributed import LocalCluster
+                _hush()
+                # What died with a worker is tried again here, see _on_dask.
+                stack.enter_context(dask.config.set({'distributed.scheduler.allowed-failures': 0}))
+                cluster = stack.enter_context(LocalCluster(
+                    n_workers=self.jobs or usable_cores(), threads_per_worker=1,
+                    dashboard_address='127.0.0.1:0', silence_logs=logging.CRITICAL))
+            yield replace(self, scheduler=cluster.scheduler_address)
+
+    def run(self, call: Callable[[Any], Any], arguments: Sequence[Any],
+            instead: Callable[[Any], Any] | None = None) -> Iterator[Any]:
         """Yield what a function returns for each argument, in any order.
 
         Close the iterator when it is left early, which ends the workers that it started.
+
+        Parameters
+        ----------
+        call : callable
+            Told an argument.
+        arguments : sequence
+        instead : callable, optional
+            Told an argument with which every worker of a Dask cluster dies, returns what is
+            yielded for it; DataError at the end without one.
         """
         if self.backend == 'dask':
-            yield from self._on_dask(call, arguments)
+            with self.staying() as there:
+                yield from there._on_dask(call, arguments, instead)
             return
         alone = self.backend == LOCAL and self.jobs == 1
         joblib = None if alone else _joblib(required=self != Workers())
@@ -74,35 +104,57 @@ class Workers:
                 return
             yield from parallel(calls)
 
-    def _on_dask(self, call: Callable[[Any], Any], arguments: Sequence[Any]) -> Iterator[Any]:
-        """Yield the results of a Dask cluster; what a worker took with it is done by another."""
-        with _naming_what_is_missing('dask', self.scheduler), ExitStack() as stack:
-            from distributed import as_completed, Client, KilledWorker, LocalCluster
-            # Whoever sees our log wants to know nothing of who talks to whom.
-            logging.getLogger('distributed').setLevel(logging.ERROR)
-            cluster = self.scheduler
-            if cluster is None:
-                cluster = stack.enter_context(LocalCluster(
-                    n_workers=self.jobs or usable_cores(), threads_per_worker=1,
-                    dashboard_address='127.0.0.1:0'))
-            client = stack.enter_context(Client(cluster))
-            owners = stack.pop_all()
-        with owners:
-            # Equal calls are made each: what is kept of them is not Dask's matter.
-            futures = dict(zip(
-                client.map(partial(_on_cores, 1, call), arguments, pure=False), arguments,
-                strict=True))
-            fatal = []
-            for future in as_completed(futures):
-                try:
-                    yield future.result()
-                except KilledWorker:
-                    fatal.append(futures[future])
-                # The cluster need not keep what has come.
-                future.release()
-        if fatal:
+    def _on_dask(self, call: Callable[[Any], Any], arguments: Sequence[Any],
+                 instead: Callable[[Any], Any] | None) -> Iterator[Any]:
+        """Yield the results of a Dask cluster; what a worker took with it is tried once more."""
+        with ExitStack() as stack:
+            with _naming_what_is_missing('dask', self.scheduler):
+                from distributed import Client
+                _hush()
+                client = stack.enter_context(Client(self.scheduler))
+            killed: list[Any] = []
+            fatal: list[Any] = []
+            yield from _as_they_come(client, call, arguments, killed)
+            # By itself: it may have died with another one that shared its worker.
+            for argument in killed:
+                yield from _as_they_come(client, call, [argument], fatal)
+        if instead is not None:
+            yield from map(instead, fatal)
+        elif fatal:
             # After all others, which can be kept.
             raise DataError(f'every worker that tried it died, as where memory runs out: {fatal}')
+
+
+def _hush() -> None:
+    """Keep to ourselves who talks to whom in a Dask cluster, and that a worker died."""
+    logging.getLogger('distributed').setLevel(logging.CRITICAL)
+
+
+def _as_they_come(client: Any, call: Callable[[Any], Any], arguments: Sequence[Any],
+                  killed: list[Any]) -> Iterator[Any]:
+    """Yield results of a Dask cluster; arguments that workers died with are added to ``killed``.
+
+    No more is handed out than workers have threads: a worker that dies takes with it all that
+    waits there, and results that nobody has fetched.
+    """
+    from distributed import as_completed, KilledWorker
+    waiting, ended = iter(arguments), as_completed()
+    running: dict[Any, Any] = {}
+    while True:
+        n_free = max(1, sum(client.nthreads().values())) - len(running)
+        for argument in islice(waiting, max(n_free, 0)):
+            # Equal calls are made each: what is kept of them is not Dask's matter.
+            future = client.submit(partial(_on_cores, 1, call), argument, pure=False)
+            running[future] = argument
+            ended.add(future)
+        if not running:
+            return
+        future = next(ended)
+        argument = running.pop(future)
+        try:
+            yield future.result()
+        except KilledWorker:
+            killed.append(argument)
 
 
 def _on_cores(cores: int, call: Callable[[Any], Any], argument: Any) -> Any:
