@@ -1,6 +1,7 @@
-"""Many recordings on the workers of a cluster."""
+"""Many recordings, and one long one, on the workers of a cluster."""
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -11,6 +12,23 @@ import pytest
 from track_before_detect.cli import main
 from track_before_detect.simulation.sensor import add_target
 
+# Ends a process that opens a file named so: always, or unless another has ended before.
+DEADLY = """
+import os, pathlib, signal, sys
+
+def end(event, arguments):
+    if event != 'open' or not isinstance(arguments[0], str):
+        return
+    mark = pathlib.Path(arguments[0]).parent / 'one_has_died'
+    once = arguments[0].endswith('deadly_once.npz') and not mark.exists()
+    if once:
+        mark.touch()
+    if once or arguments[0].endswith('deadly.npz'):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+if any('worker' in word or 'spawn' in word for word in sys.argv + sys.orig_argv):
+    sys.addaudithook(end)
+"""
 OPTIONS = ('--preset', 'none', '--set', 'threshold=8', '--no-overlay', '--formats', 'json')
 
 
@@ -36,23 +54,32 @@ def words(folder, output, *more):
     return ['detect', str(folder / '*.np*'), '--output', str(output), *OPTIONS, *more]
 
 
-def run(*given):
-    """Return exit code and what is said of errors, of a process: a cluster has its own threads."""
+def run(*given, deadly=None):
+    """Return exit code and what is said of errors, of a process: a cluster has its own threads.
+
+    Its workers find a module that ends them in the folder ``deadly``.
+    """
     program = 'import sys; from track_before_detect.cli import main; sys.exit(main(sys.argv[1:]))'
     done = subprocess.run(
         [sys.executable, '-c', program, *words(*given)], capture_output=True, text=True,
-        timeout=300)
+        timeout=300, env=os.environ | ({} if deadly is None else {'PYTHONPATH': os.pathsep.join(
+            [str(deadly), *filter(None, [os.environ.get('PYTHONPATH')])])}))
     return done.returncode, done.stderr
 
 
 def test_workers_find_the_same_and_a_run_begun_again_does_what_is_missing(recordings, tmp_path):
     alone, shared = tmp_path / 'alone', tmp_path / 'shared'
-    workers = ('--scheduler', 'local', '--jobs', '2')
+    workers = ('--scheduler', 'local', '--jobs', '1')
     assert main(words(recordings, alone)) == 2
-    code, said = run(recordings, shared, *workers)
+    deadly = tmp_path / 'deadly'
+    deadly.mkdir()
+    (deadly / 'sitecustomize.py').write_text(DEADLY)
+    shutil.copy(recordings / '0.npz', recordings / 'deadly.npz')
+    code, said = run(recordings, shared, *workers, deadly=deadly)
     assert code == 2, said
     assert said.count('torn.npz is not a complete') == 1
-    assert '4 of 4' in said and 's to go' in said
+    assert said.count('deadly.npz: every worker that searched it died') == 1
+    assert '5 of 5' in said and 's to go' in said
     names = [f'{number}/trajectories.{kind}' for number in range(3) for kind in ('csv', 'jsonl')]
     assert all((alone / name).read_bytes() == (shared / name).read_bytes() for name in names)
     summaries = [json.loads((shared / f'{number}' / 'summary.json').read_text())
@@ -67,9 +94,36 @@ def test_workers_find_the_same_and_a_run_begun_again_does_what_is_missing(record
     code, said = run(recordings, shared, '--scheduler', 'local', '--jobs', '1')
     assert code == 0, said
     assert sorted(path.name for path in shared.iterdir() if path.is_dir()) == [
-        '0', '1', '2', 'torn']
+        '0', '1', '2', 'deadly', 'torn']
     assert [(shared / f'{number}' / 'summary.json').stat().st_mtime_ns == marks[number]
             for number in range(3)] == [True, False, True]
+
+
+def test_one_recording_is_searched_in_parts_that_are_kept(tmp_path):
+    pytest.importorskip('distributed')
+    (tmp_path / 'sitecustomize.py').write_text(DEADLY)
+    frames = np.random.default_rng(1).standard_normal((120, 24, 40)).astype(np.float32)
+    for k, frame in enumerate(frames):
+        add_target(frame, 4 + 0.25 * k, 9.0, 1.0, 9.0)
+    np.savez(tmp_path / 'deadly_once.npz', frames=frames)
+    options = ('--set', 'batch_length=8')
+    alone, shared = tmp_path / 'alone', tmp_path / 'shared'
+    assert main([*words(tmp_path, alone), *options]) == 0
+    workers = ('--scheduler', 'local', '--jobs', '2')
+    code, said = run(tmp_path, shared, *options, *workers, deadly=tmp_path)
+    assert code == 0, said
+    assert (tmp_path / 'one_has_died').exists()
+    # 29 batches.
+    assert 'of 4, about' in said and '4 of 4' in said
+    found = (alone / 'trajectories.csv').read_bytes()
+    assert found.count(b'\n') > 100
+    assert (shared / 'trajectories.csv').read_bytes() == found
+    done = (shared / 'finished.jsonl').read_text().split()
+    (shared / 'trajectories.csv').unlink()
+    code, said = run(tmp_path, shared, *options, *workers[:2], '--jobs', '1')
+    assert code == 0, said
+    assert (shared / 'trajectories.csv').read_bytes() == found
+    assert (shared / 'finished.jsonl').read_text().split() == done
 
 
 def test_a_scheduler_that_does_not_answer_is_named(recordings, tmp_path, capsys):

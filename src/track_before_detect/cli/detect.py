@@ -1,12 +1,13 @@
 """``tbd detect``: find trajectories in a recording."""
 
 from argparse import Namespace
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import ExitStack
 import dataclasses
 from pathlib import Path
 import sys
 import time
-from typing import Any, TextIO
+from typing import Any, TextIO, TYPE_CHECKING
 
 import numpy as np
 
@@ -48,8 +49,13 @@ from track_before_detect.results.json_lines import json_lines
 from track_before_detect.results.saved import Opened
 from track_before_detect.types import DetectionResult, STATUSES, Trajectory
 
+if TYPE_CHECKING:
+    from track_before_detect.tracking.recording import SharedSearch
+
 # Rejected candidates that are printed, and those below the threshold that are told of.
 MOST_LISTED, MOST_BELOW = 20, 20
+# Has a recording searched by others, told the options.
+Share = Callable[[DetectorOptions], 'SharedSearch']
 
 HELP = 'find trajectories in recordings'
 DESCRIPTION = (
@@ -98,12 +104,12 @@ def add_arguments(parser: Any) -> None:
 
 
 def add_worker_arguments(parser: Any) -> None:
-    """Add who searches several recordings at a time."""
+    """Add who searches several recordings, or parts of one, at a time."""
     parser.add_argument('--scheduler', metavar='WHERE',
-                        help='search several recordings at a time: local on the cores of this '
-                        'machine, or tcp://HOST:8786 on the workers of that Dask scheduler, which '
-                        'have to see the recordings and DIR under the same names; what an earlier '
-                        'run has finished is kept')
+                        help='search several recordings, or parts of a long one, at a time: local '
+                        'on the cores of this machine, or tcp://HOST:8786 on the workers of that '
+                        'Dask scheduler, which have to see the recordings and DIR under the same '
+                        'names; what an earlier run has finished is kept')
     parser.add_argument('--jobs', metavar='N', type=int,
                         help='workers of --scheduler local (default: one per core)')
 
@@ -140,15 +146,21 @@ def run(arguments: Namespace) -> int:
     paths = expand_inputs(arguments.inputs)
     # Where lines of JSON are asked for, other programs read what is printed.
     words = sys.stderr if arguments.json else sys.stdout
-    if arguments.scheduler is not None:
+    if arguments.scheduler is not None and len(paths) > 1:
         from track_before_detect.cli.spread.recordings import search_on_workers
         return search_on_workers(paths, arguments, told, words)
     if len(paths) > 1:
         return exit_code([said_of(path, output, outcome_of(
             path, output, arguments, told, wanted), words)
             for path, output in zip(paths, folders_of(paths, arguments), strict=True)])
-    result, text, written, lines = _search(paths[0], Path(arguments.output), arguments, told,
-                                           wanted)
+    with ExitStack() as stack:
+        share = None
+        if arguments.scheduler is not None:
+            from track_before_detect.cli.spread.spans import on_workers
+            share = stack.enter_context(on_workers(
+                Opened(paths[0], arguments.topic, arguments.fps), arguments))
+        result, text, written, lines = _search(paths[0], Path(arguments.output), arguments, told,
+                                               wanted, share)
     sys.stdout.writelines(lines)
     print(text, file=words)
     print(f'written: {", ".join(map(str, written))}', file=words)
@@ -206,15 +218,16 @@ def _names(paths: Sequence[Path]) -> list[str]:
 
 
 def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, Any],
-            wanted: Wanted) -> tuple[DetectionResult, str, list[Path], list[str]]:
-    """Search one recording and write the files.
+            wanted: Wanted, share: Share | None = None,
+            ) -> tuple[DetectionResult, str, list[Path], list[str]]:
+    """Search one recording, alone or as ``share`` has it, and write the files.
 
     Return what was found, also as text, the files, and the lines of JSON that are asked for.
     """
     started = time.perf_counter()
     source = Opened(path, arguments.topic, arguments.fps)
     with source.open() as recording:
-        result, options = search(recording, arguments, told)
+        result, options = search(recording, arguments, told, share)
         found = Found(recording, options, result)
         summary = summary_of(found, time.perf_counter() - started, __version__, source)
         rejected = numbered(result) if arguments.explain else None
@@ -230,12 +243,14 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
 
 
 def search(recording: Recording, arguments: Namespace, told: Mapping[str, Any],
-           **observe: Any) -> tuple[DetectionResult, DetectorOptions]:
+           share: Share | None = None, **observe: Any) -> tuple[DetectionResult, DetectorOptions]:
     """Search a recording with the options of a preset; errors name it."""
     options, reasons = chosen_options(recording, arguments, told)
     from track_before_detect.tracking.recording import detect_recording
 
-    with Progress.asked_for(arguments) as progress:
+    if share is not None:
+        observe['shared'] = share(options)
+    with Progress.asked_for(arguments, every=share is not None) as progress:
         try:
             # In a thread of its own, which an interrupt does not wait for.
             [result] = map_in_threads(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 import logging
@@ -57,6 +57,25 @@ class Searched:
     result: BatchResult
     options: DetectorOptions
     background: str
+
+
+@dataclass(frozen=True)
+class Unlinked:
+    """What was found in a batch, before it is known who is who.
+
+    Attributes
+    ----------
+    result : DetectionResult
+        Its trajectories have the id 0.
+    remarks : tuple of Remark
+        From which those of the result were made, as far as they said something new.
+    period_px : float or None
+        Columns after which the frames begin again.
+    """
+
+    result: DetectionResult
+    remarks: Sequence[Remark]
+    period_px: float | None
 
 
 Observer = Callable[[Searched], None]
@@ -211,6 +230,15 @@ class TrackingPipeline:
         progress : callable, optional
             Told of what is compiled.
         """
+        search = self.prepare_unlinked(batch, progress)
+
+        def linked(progress: Progress | None = None) -> DetectionResult:
+            return self.link(search(progress))
+        return linked
+
+    def prepare_unlinked(self, batch: FrameBatch, progress: Progress | None = None,
+                         ) -> Callable[[Progress | None], Unlinked]:
+        """Prepare a batch, and return what finds its trajectories for :meth:`link`."""
         _check(batch)
         width_px = psf_of(self._options).width_px
         with told_of_compiling(progress, self._options):
@@ -223,37 +251,59 @@ class TrackingPipeline:
         return partial(self._find, batch, steps)
 
     def _find(self, batch: FrameBatch, steps: list[Callable[[], PreparedBatch]],
-              progress: Progress | None = None) -> DetectionResult:
+              progress: Progress | None = None) -> Unlinked:
         """Find the trajectories of a batch, which the steps prepare beside each background."""
         with told_of_compiling(progress, self._options):
             # What was searched is let go.
-            results = [self._search(batch, steps.pop(0)(), background, progress)
-                       for background in self._backgrounds]
+            searched = [self._search(batch, steps.pop(0)(), background, progress)
+                        for background in self._backgrounds]
+        results = [result for result, _ in searched]
         found = [trajectory for result in results for trajectory in result.trajectories]
-        rejected = [trajectory for result in results for trajectory in result.rejected]
         if len(results) > 1:
             found = _strongest_of_near(found, SEPARATION * psf_of(self._options).width_px)
-        found = self._before.link(
-            found, period_of(self._options, batch.frames.shape[2]),
-            [trajectory for trajectory in rejected if trajectory.reason in MAY_CARRY_ON])
         status = worst_status(result.status for result in results)
         worst = next(result for result in results if result.status == status)
-        return replace(worst, trajectories=found, rejected=rejected,
-                       best_statistic=float(np.fmax.reduce(
-                           [result.best_statistic for result in results])),
-                       remarks=[remark for result in results for remark in result.remarks])
+        return Unlinked(
+            replace(worst, trajectories=found,
+                    rejected=[one for result in results for one in result.rejected],
+                    best_statistic=float(np.fmax.reduce(
+                        [result.best_statistic for result in results])),
+                    remarks=[remark for result in results for remark in result.remarks]),
+            [remark for _, remarks in searched for remark in remarks],
+            period_of(self._options, batch.frames.shape[2]))
+
+    def link(self, found: Unlinked, elsewhere: bool = False) -> DetectionResult:
+        """Return what was found in the batch after the one before, with ids.
+
+        ``elsewhere`` is whether another pipeline found it, which does not know what this one said.
+        """
+        result = found.result
+        if elsewhere:
+            result = replace(result, remarks=self._before.remarks.new(found.remarks))
+        return replace(result, trajectories=self._before.link(
+            result.trajectories, found.period_px, _may_carry_on(result.rejected)))
+
+    def begin_afresh(self) -> None:
+        """Search the next batch as if it were the first; identities go on."""
+        self._before.begin_afresh()
+
+    def thresholds(self, stamps: Iterable[NDArray], shape: tuple[int, int],
+                   progress: Progress | None = None) -> None:
+        """Calibrate the thresholds of batches (H, W) with these stamps, one after the other."""
+        for one in stamps:
+            self._detector.threshold(one, shape, progress)
 
     def carried_on(self, known: list[Trajectory], weaker: list[Trajectory]) -> list[Trajectory]:
         """Return the rejected candidates that carry on trajectories; see :class:`Stitcher`."""
-        return self._before.stitcher.carried_on(
-            known, [trajectory for trajectory in weaker if trajectory.reason in MAY_CARRY_ON])
+        return self._before.stitcher.carried_on(known, _may_carry_on(weaker))
 
     def _search(self, batch: FrameBatch, prepared: PreparedBatch, background: str,
-                progress: Progress | None) -> DetectionResult:
-        """Find the trajectories beside one background, without ids."""
-        remarks = self._before.remarks.new(prepared.remarks)
+                progress: Progress | None) -> tuple[DetectionResult, list[Remark]]:
+        """Find the trajectories beside one background, without ids, and all remarks."""
+        noticed = list(prepared.remarks)
+        remarks = self._before.remarks.new(noticed)
         if not np.isfinite(prepared.frames).any():
-            return DetectionResult([], 0.0, remarks=remarks)
+            return DetectionResult([], 0.0, remarks=remarks), noticed
         middle = prepared.frames[len(batch) // 2]
         self._check_scale(middle)
         earlier = self._before.paths(prepared.frame_indices, prepared.maps)
@@ -272,10 +322,11 @@ class TrackingPipeline:
         if result.status == 'not_noise':
             words = ('frames pass the threshold nearly everywhere, as noise never does, and are '
                      f'not searched: {self._what_to_set(middle)}')
-            remarks += self._before.remarks.new([Remark('not_noise', words)])
+            noticed.append(Remark('not_noise', words))
+            remarks += self._before.remarks.new(noticed[-1:])
         return DetectionResult(found, result.threshold, result.status, result.history, result.gap,
                                result.best_statistic, rejected=rejected, remarks=remarks,
-                               threshold_source=self._detector.threshold_source)
+                               threshold_source=self._detector.threshold_source), noticed
 
     def reset(self) -> None:
         """Forget identities and earlier batches."""
@@ -303,6 +354,11 @@ class TrackingPipeline:
         if not scaled:
             wanted.append('noise=robust')
         return f'set {" and ".join(wanted) or "noise=map, or a larger threshold"}'
+
+
+def _may_carry_on(rejected: list[Trajectory]) -> list[Trajectory]:
+    """Return the candidates that are targets where they carry one on."""
+    return [trajectory for trajectory in rejected if trajectory.reason in MAY_CARRY_ON]
 
 
 def _middle_and_spread(frame: NDArray) -> tuple[float, float]:

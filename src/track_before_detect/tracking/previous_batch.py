@@ -41,6 +41,10 @@ class PreviousBatches:
         self.remarks = Remarks()
         self._targets: list[Trajectory] = []
 
+    def begin_afresh(self) -> None:
+        """Forget where targets were."""
+        self._targets = []
+
     def reset(self) -> None:
         """Forget everything."""
         self.stitcher.reset()

@@ -1,10 +1,12 @@
 """Detection in a whole recording: overlapping batches, one trajectory for each identity."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
 from contextlib import closing
+from itertools import chain
 import logging
-from typing import Protocol
+import math
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,11 +18,20 @@ from track_before_detect.parallel import ahead
 from track_before_detect.timestamps import increasing_frames, median_interval, pieces
 from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.joined import JoinedTrajectories
-from track_before_detect.tracking.pipeline import BatchSearch, Observer, TrackingPipeline
+from track_before_detect.tracking.pipeline import (
+    BatchSearch,
+    Observer,
+    TrackingPipeline,
+    Unlinked,
+)
 from track_before_detect.tracking.repeated_frames import RepeatedFrames
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, worst_status
 
 _LOG = logging.getLogger(__name__)
+_Item = TypeVar('_Item')
+_Search = TypeVar('_Search')
+# Batches after which the search begins afresh, so that others may search what follows.
+SPAN = 8
 
 
 class FrameSequence(Protocol):
@@ -35,6 +46,17 @@ class FrameSequence(Protocol):
 
     def __getitem__(self, index: int) -> NDArray:
         """Return one frame, shape (H, W)."""
+
+
+class SharedSearch(Protocol):
+    """Whoever searches the spans of a recording at the same time; see ``spans/``."""
+
+    def changes(self, order: NDArray[np.int64], progress: Progress | None) -> Iterable[float]:
+        """Return how much changes from each of some frames to the next."""
+
+    def found(self, n_spans: int, repeated: Sequence[int],
+              progress: Progress | None) -> Iterable[Sequence[Unlinked | None]]:
+        """Return what is in each batch of each span in their order, None in those passed over."""
 
 
 class BatchPipeline(Protocol):
@@ -74,20 +96,37 @@ def batches(recording: FrameSequence, parts: Sequence[NDArray[np.int64]],
     taken : array of int, shape (T, 2), optional
         Which of several sensors took each frame, see :class:`FrameBatch`.
     """
-    for part in parts:
-        held: deque[tuple[int, NDArray]] = deque(maxlen=length)
-        n_new = 0
+    def new_frames(part: NDArray[np.int64]) -> Iterator[tuple[int, NDArray]]:
         for index in part.tolist():
             frame = np.asarray(recording[index])
-            if repeats(frame):
-                continue
-            held.append((index, frame))
+            if not repeats(frame):
+                yield index, frame
+
+    for held in _cut(map(new_frames, parts), length, hop):
+        yield _batch(held, stamps, taken)
+
+
+def frames_of_batches(parts: Sequence[NDArray[np.int64]], repeated: Collection[int],
+                      length: int, hop: int) -> list[NDArray[np.int64]]:
+    """Return the numbers of the frames of each of the :func:`batches`, told which repeat."""
+    return [np.array(held) for held in _cut(
+        ([index for index in part.tolist() if index not in repeated] for part in parts),
+        length, hop)]
+
+
+def _cut(parts: Iterable[Iterable[_Item]], length: int, hop: int) -> Iterator[Collection[_Item]]:
+    """Yield what is in each batch; it changes when the next one is asked for."""
+    for part in parts:
+        held: deque[_Item] = deque(maxlen=length)
+        n_new = 0
+        for item in part:
+            held.append(item)
             n_new += 1
             if len(held) == length and n_new >= hop:
                 n_new = 0
-                yield _batch(held, stamps, taken)
+                yield held
         if n_new:
-            yield _batch(held, stamps, taken)
+            yield held
 
 
 def length_and_hop(n_frames: int, options: DetectorOptions) -> tuple[int, int]:
@@ -105,7 +144,7 @@ def parts_of(stamps: NDArray[np.float64],
     return pieces(stamps, length * median_interval(stamps[increasing]))
 
 
-def _batch(held: Iterable[tuple[int, NDArray]], stamps: NDArray[np.float64],
+def _batch(held: Collection[tuple[int, NDArray]], stamps: NDArray[np.float64],
            taken: NDArray[np.int64] | None) -> FrameBatch:
     indices = np.array([index for index, _ in held])
     return FrameBatch(np.stack([frame for _, frame in held]), stamps[indices], indices,
@@ -116,7 +155,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
                      progress: Progress | None = None,
                      pipeline: BatchPipeline | None = None,
                      observe: Observer | None = None,
-                     reasons: Sequence[str] = ()) -> DetectionResult:
+                     reasons: Sequence[str] = (),
+                     shared: SharedSearch | None = None) -> DetectionResult:
     """Find all trajectories of a recording.
 
     Parameters
@@ -133,6 +173,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         Shown each batch of a single sensor, as :class:`TrackingPipeline` does.
     reasons : sequence of str
         Why the options are these, the first remarks of the result.
+    shared : SharedSearch, optional
+        Searches the batches in place of this process, those of a single sensor.
 
     Returns
     -------
@@ -157,20 +199,15 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         # Said before the search: it may fail for the same reason.
         _LOG.warning('%s', remark)
     joined = JoinedTrajectories(stamps, psf_of(options).width_px)
-    n_done = 0
     searched: list[tuple[NDArray[np.int64], DetectionResult]] = []
     if progress is not None:
         progress('searching', 0.0)
-    with closing(ahead(_prepared(cut, pipeline, n_frames, progress))) as prepared:
-        for frame_indices, search in prepared:
-            n_until = int(frame_indices[-1]) + 1
-            result = search(
-                progress and _within(progress, n_done / n_frames, n_until / n_frames))
-            n_done = n_until
+    with closing(_searched(cut, pipeline, n_frames, progress) if shared is None else _linked(
+            shared, parts, length, hop, repeated, TrackingPipeline(options),
+            progress)) as results_of:
+        for frame_indices, result in results_of:
             searched.append((frame_indices, result))
             remarks += result.remarks
-            if progress is not None:
-                progress('searching', n_done / n_frames)
     if not searched:
         raise DataError(f'no pixel of the {n_frames} frames is finite')
     if repeated.count:
@@ -197,16 +234,51 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
                                 if result.threshold_source)))
 
 
-def _prepared(cut: Iterable[FrameBatch], pipeline: BatchPipeline, n_frames: int,
-              progress: Progress | None) -> Iterator[tuple[NDArray[np.int64], BatchSearch]]:
-    """Yield the frame numbers of each batch that shows anything, and what searches it."""
-    for batch in cut:
+def _searched(cut: Iterable[FrameBatch], pipeline: BatchPipeline, n_frames: int,
+              progress: Progress | None,
+              ) -> Generator[tuple[NDArray[np.int64], DetectionResult]]:
+    """Yield the frame numbers of each batch that shows anything, and what is found there."""
+    n_done, span = 0, 0
+    with closing(ahead(prepared_batches(cut, pipeline.prepare, n_frames, progress))) as prepared:
+        for number, frame_indices, search in prepared:
+            if number // SPAN > span and isinstance(pipeline, TrackingPipeline):
+                span = number // SPAN
+                pipeline.begin_afresh()
+            n_until = int(frame_indices[-1]) + 1
+            result = search(
+                progress and _within(progress, n_done / n_frames, n_until / n_frames))
+            n_done = n_until
+            yield frame_indices, result
+            if progress is not None:
+                progress('searching', n_done / n_frames)
+
+
+def _linked(shared: SharedSearch, parts: Sequence[NDArray[np.int64]], length: int, hop: int,
+            repeated: RepeatedFrames, pipeline: TrackingPipeline, progress: Progress | None,
+            ) -> Generator[tuple[NDArray[np.int64], DetectionResult]]:
+    """Yield as :func:`_searched`, of batches that are searched elsewhere."""
+    order = np.concatenate(parts)
+    changes = zip(order[1:].tolist(), shared.changes(order, progress), strict=True)
+    repeats = [index for index, changed in changes if repeated.is_one(changed)]
+    numbers = frames_of_batches(parts, set(repeats), length, hop)
+    spans = shared.found(math.ceil(len(numbers) / SPAN), repeats, progress)
+    for frame_indices, found in zip(numbers, chain.from_iterable(spans), strict=True):
+        if found is not None:
+            yield frame_indices, pipeline.link(found, elsewhere=True)
+
+
+def prepared_batches(cut: Iterable[FrameBatch],
+                     prepare: Callable[[FrameBatch, Progress | None], _Search], n_frames: int,
+                     progress: Progress | None,
+                     ) -> Iterator[tuple[int, NDArray[np.int64], _Search]]:
+    """Yield number and frame numbers of each batch that shows anything, and what searches it."""
+    for number, batch in enumerate(cut):
         if not np.isfinite(batch.frames).any() and len(batch) < n_frames:
             # A gap in the recording ends no more than the trajectories that reach into it.
             _LOG.warning('frames %d to %d hold no finite pixel and are passed over',
                          batch.frame_indices[0], batch.frame_indices[-1])
             continue
-        yield batch.frame_indices, pipeline.prepare(batch, progress)
+        yield number, batch.frame_indices, prepare(batch, progress)
 
 
 def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult]) -> None:

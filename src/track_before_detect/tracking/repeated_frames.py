@@ -32,14 +32,20 @@ class RepeatedFrames:
     def repeats(self, frame: NDArray) -> bool:
         """Return whether a frame (H, W) repeats the last one that did not."""
         last, self._last = self._last, frame
-        if last is None or last.shape != frame.shape:
-            return False
-        # A masked pixel differs from itself, so a frame without data repeats nothing.
-        change = float(np.mean(frame != last))
+        return last is not None and last.shape == frame.shape and self.is_one(change(last, frame))
+
+    def is_one(self, changed: float) -> bool:
+        """Return whether the next frame is a repeat, told how much changed; see :func:`change`."""
         usual = float(np.median(self._changes)) if self._changes else 0.0
-        if usual >= NOISY and change <= LEAST_CHANGE * usual:
+        if usual >= NOISY and changed <= LEAST_CHANGE * usual:
             self.count += 1
             return True
-        if change > 0:
-            self._changes.append(change)
+        if changed > 0:
+            self._changes.append(changed)
         return False
+
+
+def change(last: NDArray, frame: NDArray) -> float:
+    """Return the share of the pixels that differ from those of the frame before."""
+    # A masked pixel differs from itself, so a frame without data repeats nothing.
+    return float(np.mean(frame != last))

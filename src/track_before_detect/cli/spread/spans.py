@@ -1,0 +1,122 @@
+"""One long recording, whose spans of batches are searched by many workers."""
+
+from argparse import Namespace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
+import dataclasses
+from functools import lru_cache
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from track_before_detect.cli.spread.kept_items import (
+    FINISHED,
+    states_of,
+    with_estimate,
+    with_whole_names,
+    workers_of,
+)
+from track_before_detect.errors import DataError
+from track_before_detect.options import DetectorOptions
+from track_before_detect.recordings.recording import Recording
+from track_before_detect.results.saved import Opened
+from track_before_detect.runs.kept_results import KeptResults
+from track_before_detect.runs.runner import Item, Measure, Runner
+from track_before_detect.runs.workers import Workers
+from track_before_detect.tracking import remarks
+from track_before_detect.tracking.pipeline import Unlinked
+from track_before_detect.tracking.recording import SharedSearch
+from track_before_detect.tracking.spans.as_json import as_json, from_json
+from track_before_detect.tracking.spans.span_search import changes, search_span
+from track_before_detect.types import Progress
+
+# Frames in which repeats are looked for at a time.
+_READ = 200
+
+
+@contextmanager
+def on_workers(source: Opened, arguments: Namespace,
+               ) -> Iterator[Callable[[DetectorOptions], SharedSearch]]:
+    """Yield what has a recording searched by workers with the options that are chosen."""
+    with workers_of(arguments).staying() as workers:
+        kept = KeptResults(Path(arguments.output) / FINISHED)
+        yield lambda options: _Spans(source, options, workers, kept)
+
+
+@dataclasses.dataclass(frozen=True)
+class _Spans:
+    """Has the spans of a recording searched; see :class:`SharedSearch`."""
+
+    source: Opened
+    options: DetectorOptions
+    workers: Workers
+    kept: KeptResults
+
+    def changes(self, order: NDArray[np.int64], progress: Progress | None) -> Iterator[float]:
+        """Yield how much changes from each of some frames to the next."""
+        items = [{**self._input({}), 'frames': order[first:first + _READ + 1].tolist()}
+                 for first in range(0, len(order) - 1, _READ)]
+        for result in self._each(changes_of, items, 'reading', progress):
+            yield from result['changes']
+
+    def found(self, n_spans: int, repeated: Sequence[int],
+              progress: Progress | None) -> Iterator[list[Unlinked | None]]:
+        """Yield what is in each batch of each span, None in those that are passed over."""
+        told = {field.name: value for field in dataclasses.fields(self.options)
+                if (value := getattr(self.options, field.name)) != field.default}
+        options = with_whole_names(told)
+        items = [{**self._input(options), 'options': options, 'repeated': list(repeated),
+                  'span': number} for number in range(n_spans)]
+        for result in self._each(span_of, items, 'searching', progress):
+            yield from_json(result['found'])
+
+    def _input(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        return {**self.source.as_mapping(), 'files': states_of(self.source.path, options)}
+
+    def _each(self, measure: Measure, items: Sequence[Item], label: str,
+              progress: Progress | None) -> list[dict[str, Any]]:
+        """Return the result of each item, in their order; all are kept before one is missed."""
+        told = with_estimate(progress or (lambda label, share: None), len(items))
+        results: list[dict[str, Any]] = [{}] * len(items)
+        runner = Runner(told, self.workers, self.kept)
+        with closing(runner.each(measure, items, label, lambda item, result: bool(result),
+                                 lambda item: {})) as each:
+            for number, result in each:
+                results[number] = result
+        missing = [number for number, result in enumerate(results) if not result]
+        if missing:
+            raise DataError(
+                f'every worker died that was at part {missing[0] + 1} of {len(items)} of it, as '
+                'where memory runs out')
+        return results
+
+
+def changes_of(item: Item) -> dict[str, Any]:
+    """Return how much changes between the frames of an item."""
+    return {'changes': changes(_opened(item), item['frames'])}
+
+
+def span_of(item: Item) -> dict[str, Any]:
+    """Search the span of an item."""
+    recording = _opened(item)
+    # Remarks are said when spans are joined, and what the first one says of pixels by that alone.
+    logging.getLogger(remarks.__name__).setLevel(logging.ERROR)
+    logging.getLogger('track_before_detect').setLevel(
+        logging.ERROR if item['span'] else logging.NOTSET)
+    return {'found': as_json(search_span(
+        recording, recording.shape, DetectorOptions.from_mapping(item['options']), item['span'],
+        item['repeated']))}
+
+
+def _opened(item: Item) -> Recording:
+    return _kept_open(Opened(Path(item['path']), item['topic'], item['fps']),
+                      tuple(map(tuple, item['files'])))
+
+
+@lru_cache(maxsize=1)
+def _kept_open(source: Opened, files: tuple[tuple[int, ...], ...]) -> Recording:
+    """Return a recording while its files are the same: some are decoded to be opened."""
+    return source.open()
