@@ -29,7 +29,7 @@ def add_arguments(parser: Any) -> None:
                         'few states at a time; parallel, target cancellation by direction; '
                         'scene, a panning camera with preset=auto; tiles, of large frames; '
                         'velocity_filter, beside plain NumPy; compilation, of the loops from '
-                        'nothing')
+                        'nothing; workers, of which one is killed, beside one process')
     parser.add_argument('--output', metavar='FILE.json', default='bench.json',
                         help='file to write (default: bench.json)')
     parser.add_argument('--repeats', metavar='R', type=int, default=7,

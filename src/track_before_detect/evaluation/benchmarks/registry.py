@@ -13,10 +13,12 @@ from track_before_detect.evaluation.benchmarks import (
     velocity_filter,
 )
 from track_before_detect.evaluation.benchmarks.bench import Bench
+from track_before_detect.evaluation.benchmarks.workers import bench as workers
 
 BENCHES: dict[str, Bench] = {
     one.BENCH.name: one.BENCH for one in (
-        convex, dp, fit, memory, parallel, scene, tiles, velocity_filter, compilation)}
+        convex, dp, fit, memory, parallel, scene, tiles, velocity_filter, compilation,
+        workers)}
 
 
 def bench_named(name: str) -> Bench:

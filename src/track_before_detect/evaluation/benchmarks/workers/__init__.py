@@ -1,0 +1,1 @@
+"""What several workers gain, and whether they find the same when one of them is killed."""
