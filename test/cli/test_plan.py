@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from track_before_detect.cli import main
-from track_before_detect.cli.plan import Plan, together
+from track_before_detect.cli.plan import Plan, spans_of, together
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.tiled import TiledDetector
@@ -104,6 +104,15 @@ def test_workers_take_the_next_recording_when_they_are_done():
     np.testing.assert_allclose(times, [1.5 + 30, 2 * 1.5 + 60])
     # A single core does the work of all of them, and the fifth worker has none.
     np.testing.assert_allclose(together(plans, 5, 1)[1], 2 * [4 * 1.5 + 60])
+
+
+def test_a_single_recording_is_shared_out_in_parts_of_eight_batches():
+    parts = spans_of(Plan(20, np.array([1.0, 1.5]), np.array([30.0, 40.0]), 1e9))
+    assert [part.n_batches for part in parts] == [8, 8, 4]
+    n_batches, times, memory = together(parts, 2, 2)
+    assert n_batches == 20 and memory == 2e9
+    # The second worker searches 8 + 4 batches, or the first one does.
+    np.testing.assert_allclose(times, [1.5 + 24, 2 * 1.5 + 40])
 
 
 def test_the_last_line_is_for_the_workers_that_are_told(tmp_path, capsys):

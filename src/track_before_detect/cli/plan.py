@@ -3,7 +3,7 @@
 from argparse import Namespace
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import heapq
 from itertools import islice
 import math
@@ -118,8 +118,9 @@ def run(arguments: Namespace) -> int:
                          *_cells(plan.n_batches, plan.start + plan.search, plan.memory_bytes)))
     if len(plans) > 1 or workers:
         name = f'all, {workers} worker{"s" * (workers > 1)}' if workers else 'all'
+        shared = spans_of(plans[0]) if len(plans) == 1 else plans
         rows.append((name, '', '', *_tile_cells(None), *_cells(*together(
-            plans, workers, usable_cores() if arguments.scheduler == 'local' else workers))))
+            shared, workers, usable_cores() if arguments.scheduler == 'local' else workers))))
     rows.insert(0, ('recording', 'frames', 'size [px]', 'tiles', 'tile [px]', 'tile [GB]',
                     'batches', 'time [s]', 'CPU time [s]', 'memory [GB]'))
     if not any(plan.tiles for plan in plans):
@@ -136,6 +137,14 @@ def _workers(arguments: Namespace) -> int:
         raise ParameterError(f'tbd plan does not ask {arguments.scheduler} how many workers it '
                              'has: tell with --jobs')
     return Workers(arguments.jobs, 'dask').jobs or usable_cores()
+
+
+def spans_of(plan: Plan) -> list[Plan]:
+    """Return what the parts cost into which a single recording is cut for workers."""
+    from track_before_detect.tracking.recording import SPAN
+    n_batches = [min(SPAN, plan.n_batches - first) for first in range(0, plan.n_batches, SPAN)]
+    return [replace(plan, n_batches=number, search=plan.search * number / plan.n_batches)
+            for number in n_batches]
 
 
 def together(plans: Sequence[Plan], workers: int,
