@@ -79,7 +79,8 @@ def search(paths: Sequence[Path], output: Path, run: Run) -> tuple[float, float]
     if run.killed:
         _kill_a_worker(process, output / 'finished.jsonl', max(1, len(paths) // 4))
     _, said = process.communicate()
-    if process.returncode not in (0, 1):
+    # Something was found, or nothing.
+    if process.returncode not in (0, 3):
         raise DataError(f'the search by {run.name} ended with {process.returncode}: {said}')
     return time.perf_counter() - began, _used() - used
 
