@@ -136,8 +136,8 @@ class MeasurementModel(Protocol):
         """The one standard deviation of its Gaussian PSFs; None where they are no such thing."""
 
     @property
-    def is_sampled_gaussian(self) -> bool:
-        """Whether it is a Gaussian at the middle of each pixel, the same in all frames."""
+    def is_one_gaussian(self) -> bool:
+        """Whether it is a Gaussian, the same in all frames."""
 
     @property
     def oversampling(self) -> int:

@@ -89,7 +89,7 @@ class MultiSensor:
         return sigmas.pop() if len(sigmas) == 1 else None
 
     @property
-    def is_sampled_gaussian(self) -> bool:
+    def is_one_gaussian(self) -> bool:
         """Several views of one."""
         return False
 

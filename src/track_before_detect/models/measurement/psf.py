@@ -122,8 +122,8 @@ class Psf(ABC):
         return None
 
     @property
-    def is_sampled_gaussian(self) -> bool:
-        """Whether it is a Gaussian at the middle of each pixel."""
+    def is_one_gaussian(self) -> bool:
+        """Whether it is a Gaussian that does not move while a frame is taken."""
         return False
 
     def profiles(self, axis: int, phase_px: float) -> tuple[NDArray, NDArray]:
@@ -231,9 +231,9 @@ class GaussianPsf(Psf):
         return self.sigma_px
 
     @property
-    def is_sampled_gaussian(self) -> bool:
-        """Unless it is integrated over each pixel."""
-        return not self.integrated
+    def is_one_gaussian(self) -> bool:
+        """Sampled or integrated over each pixel."""
+        return True
 
     @property
     def half_width(self) -> int:

@@ -119,9 +119,13 @@ class StateGraph:
             return float(np.sum(np.maximum(room, 0.5)))
         return float(self.rooms(shape, around).prod(axis=1).mean())
 
-    def rooms(self, shape: tuple[int, int], around: bool = False) -> NDArray[np.float64]:
-        """Return width and height (V, 2) of where a straight path of each velocity can start."""
-        extent = self.step_px * np.abs(self.end_moves.sum(axis=0))
+    def rooms(self, shape: tuple[int, int], around: bool = False,
+              share: float = 1.0) -> NDArray[np.float64]:
+        """Return width and height (V, 2) of where a straight path of each velocity can start.
+
+        A path that lasts a share of the batch may end sooner.
+        """
+        extent = share * self.step_px * np.abs(self.end_moves.sum(axis=0))
         extent[:, 0] *= not around
         return np.maximum(np.array([shape[1], shape[0]]) - extent, 0.5)
 

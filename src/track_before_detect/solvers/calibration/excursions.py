@@ -25,24 +25,24 @@ from scipy.special import gammaincc, gammaln
 DIMENSIONS = 4
 
 
-def densities(level: float, numbers: NDArray) -> NDArray[np.float64]:
-    """Return rho_j of norms of normal numbers, shape (DIMENSIONS + 1, N).
+def densities(levels: NDArray, numbers: NDArray) -> NDArray[np.float64]:
+    """Return rho_j of norms of normal numbers, shape (DIMENSIONS + 1, R, N).
 
     Parameters
     ----------
-    level : float
+    levels : float array, shape (R, 1)
         u, above 0.
-    numbers : array of float, shape (N,)
+    numbers : array of float, shape (R, N) or (1, N)
         How many numbers each norm is of.
     """
     scale = np.exp((1 - numbers / 2) * math.log(2) - gammaln(numbers / 2)
-                   + (numbers - 1) * math.log(level) - level**2 / 2)
+                   + (numbers - 1) * np.log(levels) - levels**2 / 2)
     # The derivatives of u^(n-1) exp(-u^2/2) are that times a sum of powers of u.
     powers = {0: np.ones_like(numbers)}
-    found = [gammaincc(numbers / 2, level**2 / 2)]
+    found = [gammaincc(numbers / 2, levels**2 / 2)]
     for j in range(1, DIMENSIONS + 1):
         found.append((2 * math.pi)**(-j / 2) * scale
-                     * sum(factor * level**power for power, factor in powers.items()))
+                     * sum(factor * levels**power for power, factor in powers.items()))
         following: dict[int, NDArray] = {}
         for power, factor in powers.items():
             following[power + 1] = following.get(power + 1, 0.0) + factor
@@ -52,46 +52,60 @@ def densities(level: float, numbers: NDArray) -> NDArray[np.float64]:
     return np.array(found)
 
 
-def mixture(n_frames: int, constant: bool, signed: bool) -> tuple[NDArray, NDArray]:
-    """Return how many normal numbers a statistic is the norm of, and how often, both (N,)."""
-    most = 1 if constant else n_frames
-    if signed:
-        return np.array([float(most)]), np.ones(1)
-    numbers = np.arange(1.0, most + 1)
-    chances = np.exp(gammaln(most + 1) - gammaln(numbers + 1) - gammaln(most - numbers + 1)
-                     - most * math.log(2))
-    return numbers, chances
-
-
-def expected_islands(level: float, n_frames: int, constant: bool, signed: bool,
-                     rooms: NDArray, radius: float) -> float:
-    """Return how many islands of straight paths pass a level on average.
+def mixture(lengths: NDArray, constant: bool, signed: bool) -> tuple[NDArray, NDArray]:
+    """Return how many normal numbers a statistic is the norm of, and how often.
 
     Parameters
     ----------
-    level : float
+    lengths : array of int, shape (R, 1)
+        Frames that the path is seen in.
+    constant, signed : bool
+        Whether one amplitude serves all frames, and may have either sign.
+
+    Returns
+    -------
+    numbers, chances : float array, broadcast to (R, N)
+        Chances are zero of more numbers than frames.
+    """
+    most = np.ones_like(lengths) if constant else lengths
+    if signed:
+        return most.astype(float), np.ones(most.shape)
+    numbers = np.arange(1.0, most.max() + 1)[None]
+    chances = np.exp(gammaln(most + 1) - gammaln(numbers + 1)
+                     - gammaln(np.maximum(most - numbers + 1, 1)) - most * math.log(2))
+    return numbers, np.where(numbers <= most, chances, 0.0)
+
+
+def expected_islands(levels: NDArray, lengths: NDArray, constant: bool, signed: bool,
+                     places: NDArray, radius: float) -> NDArray[np.float64]:
+    """Return how many islands of straight paths pass a level on average, shape (R,).
+
+    Parameters
+    ----------
+    levels : float array, shape (R,)
         u, above 0.
-    n_frames : int
-        T.
+    lengths : array of int, shape (R,)
+        Frames that the paths are seen in.
     constant : bool
         Whether one amplitude serves all frames.
     signed : bool
         Whether amplitudes may have either sign.
-    rooms : array, shape (V, 2)
-        Width and height in which paths of each velocity can start, in lengths over which the
-        matched filter changes, one over the root of the curvature of the PSF.
+    places : array, shape (3, R)
+        Mean over the velocities of the L_i of where such paths can start, in lengths over which
+        the matched filter changes, one over the root of the curvature of the PSF.
     radius : float
         Largest speed, in these lengths per frame interval; 0 of targets that stand still.
     """
-    numbers, chances = mixture(n_frames, constant, signed)
-    rho = densities(level, numbers) * chances
+    lengths = lengths[:, None]
+    numbers, chances = mixture(lengths, constant, signed)
+    rho = densities(levels[:, None], numbers) * chances
     # What a frame adds weighs how far a change of velocity is seen there: few that count, by
     # chance, spread less in time than all.
-    spread = math.sqrt((n_frames**2 - 1) / 12)
+    spread = np.sqrt((lengths**2 - 1) / 12)
     spreads = spread * (np.ones_like(numbers) if constant
                         else np.sqrt(np.maximum(1 - 3 / (numbers + 2), 0.0)))
-    places = (1.0, float(rooms.sum(axis=1).mean()), float(rooms.prod(axis=1).mean()))
     motions = (1.0, math.pi * radius, math.pi * radius**2)
-    return float(sum(
-        places[i] * motions[k] * np.sum(rho[i + k] * spreads**k)
-        for i in range(3) for k in range(3 if radius > 0 else 1)))
+    found: NDArray[np.float64] = sum(
+        places[i] * motions[k] * np.sum(rho[i + k] * spreads**k, axis=1)
+        for i in range(3) for k in range(3 if radius > 0 else 1))
+    return found

@@ -106,10 +106,10 @@ class ConvexDetector(PathDetector):
     def false_paths(self, graph: StateGraph, measurement: MeasurementModel,
                     columns: PeriodicColumns, shape: tuple[int, int]) -> FalsePaths | None:
         """Return how many paths of noise pass a level, None where only a search can tell."""
-        if (self.presence is not None or graph.coupling is not None or columns.margin > 0
-                or not measurement.is_sampled_gaussian):
+        if (graph.coupling is not None or columns.margin > 0
+                or not measurement.is_one_gaussian):
             return None
-        return modelled_false_paths(graph, measurement, self.model, shape)
+        return modelled_false_paths(graph, measurement, self.model, self.presence, shape)
 
     @property
     def _separation(self) -> float:

@@ -1,7 +1,7 @@
 """Options and frames for which noise is searched: spread evenly over what is modelled."""
 
 from collections.abc import Iterator, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import qmc
@@ -18,7 +18,40 @@ INTERVALS_TO_MAX_SPEED = 30
 MOST_POINTS = 256
 # Of the sides of frames: px for one width of the PSF, and for what targets travel.
 SIDE_PX, TRAVELS, LEAST_PX, MOST_PX, STEP_PX = 48.0, 1.2, 64, 192, 16
-MODELS = ('constant', 'fluctuating')
+
+
+class Kind(NamedTuple):
+    """What is modelled alike.
+
+    Attributes
+    ----------
+    name : str
+        What it is called in reports.
+    options : mapping
+        By which it is asked for.
+    share, effort : float
+        Of the sets of options, and of the time for one, that noise is searched with for the
+        table: where there are few coefficients to fit, less does, and none where there are none.
+    """
+
+    name: str
+    options: Mapping[str, Any]
+    share: float = 0.35
+    effort: float = 0.5
+
+
+# The first two correct the others as well.
+KINDS = (Kind('constant', {'amplitude_model': 'constant'}, 1.0, 1.0),
+         Kind('fluctuating', {'amplitude_model': 'fluctuating'}, 1.0, 1.0),
+         Kind('constant, partial', {'amplitude_model': 'constant', 'presence': 'partial'}),
+         Kind('fluctuating, partial', {'amplitude_model': 'fluctuating', 'presence': 'partial'}),
+         Kind('signed', {'amplitude_model': 'fluctuating', 'amplitudes': 'signed'}),
+         Kind('signed, partial', {'amplitude_model': 'fluctuating', 'amplitudes': 'signed',
+                                  'presence': 'partial'}),
+         Kind('constant, integrated', {'amplitude_model': 'constant',
+                                       'psf_model': 'integrated_gaussian'}, 0.0),
+         Kind('fluctuating, integrated', {'amplitude_model': 'fluctuating',
+                                          'psf_model': 'integrated_gaussian'}, 0.0))
 
 
 def option_sets(count: int, seed: int, frames: tuple[int, int] = FRAMES,
