@@ -10,6 +10,7 @@ from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.recordings.open_recording import open_recording
 from track_before_detect.tracking.pipeline import TrackingPipeline
 from track_before_detect.tracking.recording import batches, detect_recording
+from track_before_detect.types import FrameBatch
 
 OPTIONS = {'threshold': 12.0}
 
@@ -286,6 +287,16 @@ def test_target_is_followed_through_batches_in_which_it_is_too_dim_to_be_found(s
     distance = np.hypot(*(trajectory.positions - way).T)
     assert np.isfinite(distance).all()
     assert np.median(distance[dim]) < 2
+
+
+def test_a_candidate_that_carries_a_trajectory_on_is_not_rejected_as_well():
+    frames, _ = fading_target([6] * 20 + [1.7] * 10)
+    pipeline = TrackingPipeline(DetectorOptions.from_mapping(CLUTTER))
+    for first in range(0, 25, 5):
+        numbers = np.arange(first, first + 10)
+        result = pipeline.process(FrameBatch(frames[numbers], numbers.astype(float), numbers))
+        [trajectory] = result.trajectories
+        assert all(one.positions is not trajectory.positions for one in result.rejected)
 
 
 def test_trajectory_ends_where_no_candidate_is_near():

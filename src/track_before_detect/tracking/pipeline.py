@@ -29,6 +29,7 @@ from track_before_detect.solvers.search.coarse_to_fine import search_once
 from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.compilation import LABEL, searches_cells, told_of_compiling
 from track_before_detect.tracking.previous_batch import PreviousBatches
+from track_before_detect.tracking.stitcher import not_carried
 from track_before_detect.types import (
     DetectionResult,
     FrameBatch,
@@ -280,8 +281,10 @@ class TrackingPipeline:
         result = found.result
         if elsewhere:
             result = replace(result, remarks=self._before.remarks.new(found.remarks))
-        return replace(result, trajectories=self._before.link(
-            result.trajectories, found.period_px, _may_carry_on(result.rejected)))
+        trajectories = self._before.link(
+            result.trajectories, found.period_px, _may_carry_on(result.rejected))
+        return replace(result, trajectories=trajectories,
+                       rejected=not_carried(result.rejected, trajectories))
 
     def begin_afresh(self) -> None:
         """Search the next batch as if it were the first; identities go on."""

@@ -25,6 +25,7 @@ from track_before_detect.tracking.pipeline import (
     Unlinked,
 )
 from track_before_detect.tracking.repeated_frames import RepeatedFrames
+from track_before_detect.tracking.stitcher import not_carried
 from track_before_detect.types import DetectionResult, FrameBatch, Progress, worst_status
 
 _LOG = logging.getLogger(__name__)
@@ -219,8 +220,6 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         _carry_back(pipeline, results)
     for frame_indices, result in searched:
         joined.add(frame_indices, result.trajectories)
-    # Candidates that carry a trajectory on are parts of it.
-    carried = {id(one.positions) for result in results for one in result.trajectories}
     return DetectionResult(
         joined.trajectories(), max(result.threshold for result in results),
         worst_status(result.status for result in results),
@@ -228,8 +227,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         float(np.fmax.reduce([result.gap for result in results])),
         float(np.fmax.reduce([result.best_statistic for result in results])), len(results),
         [*reasons, *remarks],
-        [one for result in results for one in result.rejected
-         if id(one.positions) not in carried],
+        [one for result in results for one in not_carried(result.rejected, result.trajectories)],
         ', '.join(dict.fromkeys(result.threshold_source for result in results
                                 if result.threshold_source)))
 

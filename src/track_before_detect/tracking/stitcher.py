@@ -1,6 +1,6 @@
 """Give trajectories of successive batches the identity they had before."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -20,6 +20,13 @@ class _Known:
 
     trajectory: Trajectory
     batches_ago: int = 0
+
+
+def not_carried(candidates: Iterable[Trajectory],
+                trajectories: Iterable[Trajectory]) -> list[Trajectory]:
+    """Return the candidates that carry on none of the trajectories: their positions stay."""
+    carried = {id(one.positions) for one in trajectories}
+    return [one for one in candidates if id(one.positions) not in carried]
 
 
 class Stitcher:
