@@ -1,5 +1,7 @@
 """``tbd view``: what is shown on rerun, read from the file that it saves."""
 
+import os
+from pathlib import Path
 import subprocess
 import sys
 
@@ -7,10 +9,12 @@ import numpy as np
 import pytest
 
 from track_before_detect.cli import main
+from track_before_detect.recordings.overlay import real_picture
 from track_before_detect.simulation.sensor import add_target
 from views.page import make_clip, opened_page, RATE_HZ, wait_until_shown
 from views.rows import rows_of
 
+DATA = os.environ.get('TBD_DATA_DIR')
 N_FRAMES, SHAPE = 8, (24, 40)
 PROGRAM = 'import sys; from track_before_detect.cli import main; sys.exit(main(sys.argv[1:]))'
 
@@ -72,22 +76,32 @@ def test_a_result_is_shown_as_it_was_found_without_another_search(
         assert shown['labels'][0].startswith('7  ')
 
 
-def test_a_page_shows_the_trajectory_of_a_clip_where_it_is(tmp_path):
+def real_clip():
+    """Return frames of a camera that pans over a sky, and where a target is said to be."""
+    if not DATA:
+        pytest.skip('TBD_DATA_DIR names no folder of real recordings')
+    with np.load(Path(DATA) / 'ir_istd_s4_sky_horizon.npz') as recording:
+        return recording['frames'][:40], recording['truth'][:40, 2:]
+
+
+@pytest.mark.parametrize(('make', 'told'), [
+    (make_clip, ['--preset', 'none', '--set', 'background=temporal_median', '--set',
+                 'noise=robust', '--set', 'threshold=12', '--set', 'batch_length=20']),
+    (real_clip, [])], ids=['made', 'real'])
+def test_a_page_shows_the_trajectory_of_a_clip_where_it_is(tmp_path, make, told):
     pytest.importorskip('rerun', reason='the extra [view] is missing')
-    frames, positions = make_clip()
+    frames, positions = make()
     np.savez(tmp_path / 'clip.npz', frames=frames, fps=RATE_HZ)
-    told = [part for option in ('background=temporal_median', 'noise=robust', 'threshold=12',
-                                'batch_length=20') for part in ('--set', option)]
     with subprocess.Popen(
-            [sys.executable, '-c', PROGRAM, 'view', tmp_path / 'clip.npz', '--preset', 'none',
-             *told, '--web'], stdout=subprocess.PIPE, text=True) as command:
+            [sys.executable, '-c', PROGRAM, 'view', tmp_path / 'clip.npz', *told, '--web'],
+            stdout=subprocess.PIPE, text=True) as command:
         try:
             address = command.stdout.readline().partition(' ')[0]
             with opened_page(address) as page:
-                wait_until_shown(page, positions[15:], 1, tmp_path)
+                wait_until_shown(
+                    page, real_picture(frames[-1]), positions[15:], 1, tmp_path)
         finally:
             command.terminate()
-        assert command.stdout.read().startswith('clip.npz: 1 trajectories')
 
 
 def test_a_result_whose_recording_is_gone_names_it(recording_file, tmp_path, capsys):

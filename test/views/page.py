@@ -7,15 +7,17 @@ import time
 
 import numpy as np
 import pytest
-from scipy import ndimage
+from scipy import ndimage, signal
 
-from track_before_detect.recordings.overlay import colour_of
+from track_before_detect.recordings.overlay import colour_of, contrast_limits, grey_picture
 
 # Drawing takes minutes where other processes want the same cores.
 TIMEOUT_S = 400.0
 N_FRAMES, SHAPE, RATE_HZ = 40, (48, 64), 25.0
 # Side of the box around a target, and what a trajectory may be off, in pixels of the frames.
 BOX_PX, OFF_PX = 8.0, 1.0
+# What lines that are drawn may be off, in pixels of the page.
+LEAST_OFF = 2.0
 # Width and height of the number below a box, at most, in pixels of the page.
 LABEL = 90, 35
 # Of two colours that are the same, at most, in each channel.
@@ -23,10 +25,7 @@ ALIKE = 40
 
 
 def make_clip():
-    """Return a scene with a dark roof, a bright lamp and a target that crosses it, and where.
-
-    Nearly all of it is of a middle grey, so that it is found on a page.
-    """
+    """Return a scene with a dark roof, a bright lamp and a target that crosses it, and where."""
     frames = np.random.default_rng(5).normal(100, 2, (N_FRAMES, *SHAPE)).astype(np.float32)
     frames[:, 3:8, 4:11] -= 20
     frames[:, 3:7, 55:59] += 20
@@ -56,8 +55,8 @@ def opened_page(address):
         browser.close()
 
 
-def wait_until_shown(page, positions, identity, folder):
-    """Wait until the page shows a trajectory that has come along these positions, there alone."""
+def wait_until_shown(page, frame, positions, identity, folder):
+    """Wait until a trajectory that has come along these positions is on a frame, there alone."""
     from PIL import Image
 
     end_s, file = time.monotonic() + TIMEOUT_S, folder / 'page.png'
@@ -66,21 +65,21 @@ def wait_until_shown(page, positions, identity, folder):
         picture = page.screenshot(timeout=1000 * TIMEOUT_S)
         file.write_bytes(picture)
         wrong = what_is_wrong(np.array(Image.open(io.BytesIO(picture)).convert('RGB'), float),
-                              positions, colour_of(identity))
+                              frame, positions, colour_of(identity))
     assert not wrong, f'{wrong}, see {file}'
 
 
-def what_is_wrong(picture, positions, colour):
+def what_is_wrong(picture, frame, positions, colour):
     """Return what is not where it should be in the picture (H, W, 3) of a page."""
-    rows, columns = frame_in(picture)
-    scale = (columns.stop - columns.start) / SHAPE[1]
-    if not np.isclose(scale, (rows.stop - rows.start) / SHAPE[0], rtol=0.03):
-        return f'no frame, but something grey in {rows}, {columns}'
-    frame = picture[rows, columns]
-    coloured = (np.abs(frame - colour) < ALIKE).all(axis=-1)
+    coloured = (np.abs(picture - colour) < ALIKE).all(axis=-1)
+    if not coloured.any():
+        return 'nothing is of the colour of the trajectory'
+    (left, top), scale = frame_in(picture, frame)
+    height, width = np.rint(np.multiply(frame.shape, scale)).astype(int)
+    coloured = coloured[top:top + height, left:left + width]
     # The middle of the first pixel is at half a pixel.
     places = scale * (np.asarray(positions) + 0.5)
-    half, off = scale * BOX_PX / 2, scale * OFF_PX
+    half, off = scale * BOX_PX / 2, max(scale * OFF_PX, LEAST_OFF)
     x, y = places[-1]
     along = np.linspace(-half, half, 20)
     # The number is at the lower side.
@@ -100,11 +99,23 @@ def what_is_wrong(picture, positions, colour):
     return f'{(coloured & ~allowed).sum()} pixels elsewhere' * bool((coloured & ~allowed).any())
 
 
-def frame_in(picture):
-    """Return the rows and columns of the largest grey area of a picture."""
-    grey = (np.ptp(picture, axis=-1) < 12) & (abs(picture.mean(axis=-1) - 128) < 60)
-    areas, n_areas = ndimage.label(grey)
-    if not n_areas:
-        return slice(0, 1), slice(0, SHAPE[1])
-    largest = ndimage.sum_labels(grey, areas, np.arange(1, n_areas + 1)).argmax()
-    return ndimage.find_objects(areas)[largest]
+def frame_in(picture, frame):
+    """Return the first column and row of a frame (H, W) in a picture, and its scale there."""
+    from PIL import Image
+
+    # It is the first of three in a row at least.
+    grey = picture[:, :picture.shape[1] // 3 + 2].mean(axis=-1)
+    squares = np.pad((grey**2).cumsum(0).cumsum(1), ((1, 0), (1, 0)))
+    shown = Image.fromarray(grey_picture(frame, *contrast_limits(frame)))
+    best = np.inf, (0, 0), 1.0
+    for width in range(grey.shape[1] // 2, grey.shape[1]):
+        size = width, round(width * frame.shape[0] / frame.shape[1])
+        if size[1] > grey.shape[0]:
+            break
+        scaled = np.asarray(shown.resize(size), float)
+        x, y = size
+        far = (squares[y:, x:] - squares[:-y, x:] - squares[y:, :-x] + squares[:-y, :-x]
+               + (scaled**2).sum() - 2 * signal.oaconvolve(grey, scaled[::-1, ::-1], 'valid'))
+        place = np.unravel_index(far.argmin(), far.shape)
+        best = min(best, (far[place] / scaled.size, place[::-1], width / frame.shape[1]))
+    return best[1:]

@@ -238,7 +238,7 @@ def test_a_page_shows_the_trajectory_of_a_running_node_where_it_is(launch, stati
     frames, positions = make_clip()
     with opened_page(address) as page:
         send(station, publisher, frames[:30])
-        wait_until_shown(page, positions[10:30], 1, tmp_path)
+        wait_until_shown(page, frames[29], positions[10:30], 1, tmp_path)
         send(station, publisher, frames[30:], 30)
-        wait_until_shown(page, positions[20:], 1, tmp_path)
+        wait_until_shown(page, frames[39], positions[20:], 1, tmp_path)
     assert detector.interrupt() == 0
