@@ -50,7 +50,8 @@ napoleon_type_aliases = {
     'Recording': '~track_before_detect.recordings.recording.Recording',
     'Scenario': '~track_before_detect.simulation.scenarios.Scenario'}
 nitpick_ignore = [('py:class', name) for name in (
-    'BatchPipeline', 'FrameSequence', 'FrameSource', 'TrackingPipeline', 'both odd')]
+    'BatchPipeline', 'FrameSequence', 'FrameSource', 'SharedSearch', 'TrackingPipeline',
+    'both odd')]
 napoleon_google_docstring = False
 napoleon_use_ivar = True
 

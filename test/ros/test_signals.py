@@ -79,7 +79,7 @@ def test_a_signal_ends_a_preparation(launch, tmp_path, monkeypatch, doing):
     monkeypatch.setenv('XDG_CACHE_HOME', str(tmp_path))
     detector = launch('detector', '-p', 'frame_height:=256', '-p', 'frame_width:=320', '-p',
                       'frame_rate_hz:=10.0', '-p', 'preset:=none', '-p',
-                      'psf_model:=integrated_gaussian')
+                      'motion_model:=range_bearing')
     detector.wait_for_line(doing)
     time.sleep(0.2)
     assert end(detector.process, signal.SIGINT, signal.SIGINT) < LONGEST_S

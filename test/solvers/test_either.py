@@ -166,13 +166,13 @@ def test_batches_go_on_from_those_before_under_one_identity():
     assert np.isfinite(found.positions).all() and error_px(found, path) < 0.7
 
 
-@pytest.mark.parametrize(('psf_model', 'n_searches'), [
-    pytest.param('gaussian', 0, id='thresholds known'),
-    pytest.param('integrated_gaussian', 2, id='thresholds searched')])
-def test_warm_up_prepares_both_models(psf_model, n_searches):
+@pytest.mark.parametrize(('motion_model', 'n_searches'), [
+    pytest.param('nearly_constant_velocity', 0, id='thresholds known'),
+    pytest.param('range_bearing', 2, id='thresholds searched')])
+def test_warm_up_prepares_both_models(motion_model, n_searches):
     told = []
     pipeline = TrackingPipeline(DetectorOptions(
-        amplitude_model='either', max_speed_px_s=0.7, psf_model=psf_model))
+        amplitude_model='either', max_speed_px_s=0.7, motion_model=motion_model))
     threshold = pipeline.warm_up((H, W), 1.0, T, lambda label, share: told.append((label, share)))
     assert told[0] == ('compiling', 0.0) and ('compiling', 1.0) in told
     assert [share for _, share in told].count(1.0) == 1 + n_searches

@@ -6,14 +6,15 @@ each bench of ``tbd bench``. Only these two commands import this room, so that i
 distribution of its own. These are the doors of the rest that it goes through:
 
 - for everything: ``atomic_files``, ``capabilities``, ``errors``, ``options``, ``parallel``,
-  ``types``, ``runs``, ``runs.own_process``,
-  ``recordings.result_files``;
+  ``types``, ``runs``, ``runs.own_process``, ``runs.runner``, ``recordings.npz``,
+  ``recordings.result_files``, ``recordings.zarr_store``;
 - recordings with truth: ``recordings.images``, ``recordings.open_recording``,
   ``recordings.overlay``, ``recordings.read_errors``, ``recordings.recording``,
   ``recordings.video``, ``tracking.recording``;
 - scenes: ``simulation.backdrop``, ``simulation.motions``, ``simulation.scenarios``,
   ``simulation.sensor``;
 - detectors: ``tracking.pipeline``, ``tracking.presets``, ``solvers.batch_detector``,
+  ``solvers.detectors``,
   ``solvers.calibration.false_paths``, ``solvers.calibration.noise_study``,
   ``solvers.calibration.threshold``, ``solvers.clutter.detector``, ``solvers.clutter.reasons``,
   ``option_models``;
