@@ -460,7 +460,8 @@ def test_a_long_search_is_left_at_once(tmp_path, number, code):
         _, said = search.communicate(timeout=30)
     finally:
         search.kill()
-    assert time.monotonic() - sent < 2
+    # Far from the minute that it would have gone on for, also beside other work.
+    assert time.monotonic() - sent < 10
     assert search.returncode == code, said
     assert 'Traceback' not in said and not (tmp_path / 'out').exists()
 

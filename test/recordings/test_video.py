@@ -7,7 +7,7 @@ import textwrap
 from unittest import mock
 
 import av
-from hypothesis import given, HealthCheck, settings
+from hypothesis import example, given, HealthCheck, settings
 from hypothesis import strategies as st
 import numpy as np
 import pytest
@@ -128,12 +128,17 @@ def test_any_order_of_access(lossless, kind, order):
 @pytest.mark.parametrize('name', ['a.mkv', 'a.mp4', 'a.mov'])
 @settings(max_examples=10)
 @given(steps=st.lists(st.integers(1, 5000), min_size=1, max_size=12))
+@example(steps=[1, 1, 85, 1, 1, 1, 41, 1, 1])
 def test_stamps_are_the_presentation_times_of_a_variable_rate(name, steps, tmp_path_factory):
     stamps_ms = np.cumsum([0, *steps])
     path = write(tmp_path_factory.mktemp('rate') / name, 'ffv1' if name == 'a.mkv' else 'libx264',
                  'gray', noise(len(stamps_ms)), stamps_ms, made_of='gray', b_frames=2)
+    with av.open(str(path)) as container:
+        n_shown = sum(1 for _ in container.decode(video=0))
+    # Writers of MP4 may make an edit list that hides the last frame.
+    assert n_shown >= len(stamps_ms) - 1
     with open_recording(path) as recording:
-        np.testing.assert_allclose(recording.stamps, stamps_ms / 1000, atol=1e-9)
+        np.testing.assert_allclose(recording.stamps, stamps_ms[:n_shown] / 1000, atol=1e-9)
 
 
 def test_the_clock_of_a_video_may_begin_late(tmp_path):

@@ -55,11 +55,11 @@ class _Index:
     keys: NDArray[np.int64]
 
 
-def _opened(path: Path) -> Any:
+def _opened(path: Path, options: dict[str, str] | None = None) -> Any:
     av = _import_av()
     with read_errors(f'{path} is not a video, or an incomplete one', _av_errors()):
         # Without its protocol, what stands before a colon in a name would be taken for one.
-        return av.open(f'file:{path}')
+        return av.open(f'file:{path}', options=options)
 
 
 def _stream(path: Path, container: Any) -> Any:
@@ -99,9 +99,14 @@ def _indexed(path: Path, container: Any) -> _Index:
 def _require_whole(path: Path, container: Any, stream: Any, packets: list[Any]) -> None:
     """Refuse a video that holds less than it says."""
     if container.format.name.startswith('mov'):
-        if len(packets) < stream.frames:
-            raise DataError(
-                f'{path} is truncated: it holds {len(packets)} of {stream.frames} frames')
+        n_stored = len(packets)
+        if n_stored < stream.frames:
+            # An edit list may hide frames that are there.
+            with _opened(path, {'advanced_editlist': '0'}) as whole:
+                n_stored = sum(bool(packet.size)
+                               for packet in whole.demux(whole.streams[stream.index]))
+        if n_stored < stream.frames:
+            raise DataError(f'{path} is truncated: it holds {n_stored} of {stream.frames} frames')
         return
     unit = float(stream.time_base)
     if container.format.name == 'avi':

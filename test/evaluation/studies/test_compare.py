@@ -5,7 +5,12 @@ from canned import Canned
 from track_before_detect.evaluation.engine.report import write_suite_result
 from track_before_detect.evaluation.studies.compare import runs as compare_runs
 from track_before_detect.evaluation.studies.compare.details import reasons, Standing
-from track_before_detect.evaluation.studies.compare.scenes import n_targets, SCENES, shape_of
+from track_before_detect.evaluation.studies.compare.scenes import (
+    largest_speed_px,
+    n_targets,
+    SCENES,
+    shape_of,
+)
 from track_before_detect.evaluation.studies.compare.suite import run_compare, SUITE
 from track_before_detect.options import DETECTORS
 from track_before_detect.runs.runner import as_text
@@ -33,6 +38,14 @@ def test_scenes_are_what_they_are_called():
     np.testing.assert_allclose(bend, speed[0]**2 / 20, rtol=1e-3)
     assert np.isnan(SCENES['enters'](rng)[0, :8]).all()
     assert np.isfinite(SCENES['leaves'](rng)[0, :12]).all()
+
+
+@pytest.mark.parametrize('scene', SCENES)
+def test_no_target_is_faster_than_methods_are_told(scene):
+    paths = np.concatenate([SCENES[scene](np.random.default_rng(seed)) for seed in range(20)])
+    steps = np.diff(paths, axis=1)
+    assert np.nanmax(np.linalg.norm(steps, axis=2)) <= largest_speed_px(scene) + 1e-9
+    assert np.nanmax(np.abs(steps)) <= 1 + 1e-9
 
 
 def test_bright_targets_of_a_scene_are_found_by_ours():

@@ -160,9 +160,15 @@ def test_pictures_and_arrays_are_found_by_a_steady_clock_while_that_of_ros_stand
     assert np.hypot(*(np.stack([points['x'], points['y']], 1) - positions[:10]).T).mean() < 1.0
 
     arrays = station.publisher(Float32MultiArray, 'frame', BEST_EFFORT)
-    for n_used in (11, 12):
-        arrays.publish(conversions.multiarray_from_frame(1000 + 100 * frames[n_used]))
-        station.wait_for_diagnostics(frames_used=n_used, frames_refused=1)
+
+    def array_arrives():
+        # What is sent before the node has discovered us is lost without reliability.
+        arrays.publish(conversions.multiarray_from_frame(1000 + 100 * frames[11]))
+        station.spin_for(0.3)
+        return int(station.diagnostics()['frames_used']) > 10
+
+    station.wait_until(array_arrives, 'a frame on frame')
+    station.wait_for_diagnostics(frames_refused=1, publishers=2)
     # Through the segment that the middleware has by default frames of 1 MB hardly come.
     large = conversions.multiarray_from_frame(np.zeros((512, 640), np.float32))
     for _ in range(30):

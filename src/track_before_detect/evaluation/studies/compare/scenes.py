@@ -20,6 +20,9 @@ APART_PX = 5.0
 CROSSING_SPEED_PX = 0.8
 # Frames in which a target that enters or leaves is there.
 PRESENT = 12
+# Largest speeds of targets in pixels per frame; those of Guo et al. move by up to a pixel along
+# either axis.
+USUAL_SPEED_PX, SIX_SPEED_PX = 1.0, 2**0.5
 
 Paths = NDArray[np.float64]
 
@@ -27,6 +30,11 @@ Paths = NDArray[np.float64]
 def shape_of(scene: str) -> tuple[int, int, int]:
     """Return (T, H, W) of a scene, one of :data:`SCENES` or of noise."""
     return SIX if 'six' in scene else USUAL
+
+
+def largest_speed_px(scene: str) -> float:
+    """Return the largest speed of a target of a scene in any direction, pixels per frame."""
+    return SIX_SPEED_PX if shape_of(scene) == SIX else USUAL_SPEED_PX
 
 
 def targets_of(scene: str, rng: np.random.Generator) -> Paths:
@@ -44,7 +52,7 @@ def _path(rng: np.random.Generator, turn_radius: float = np.inf,
           speed: float | None = None) -> tuple[Paths, float]:
     """Return a path about the origin at constant speed, shape (T, 2), and its first heading."""
     heading = rng.uniform(0, 2 * np.pi)
-    speed = rng.uniform(0.2, 1.0) if speed is None else speed
+    speed = rng.uniform(0.2, USUAL_SPEED_PX) if speed is None else speed
     turn = rng.choice((-1.0, 1.0)) * speed / turn_radius
     return centred_path(heading, speed, turn, USUAL[0]), heading
 
