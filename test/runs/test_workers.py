@@ -1,9 +1,11 @@
-"""Workers of a cluster that die."""
+"""Workers of a cluster: those that die, and none where there is nothing to do."""
 
 import subprocess
 import sys
 
 import pytest
+
+from track_before_detect.runs.workers import Workers
 
 PROGRAM = """
 import os
@@ -37,3 +39,8 @@ def test_what_workers_died_with_is_done_again_and_given_up_where_they_die_again(
                           timeout=300, cwd=tmp_path)
     assert done.stdout == '[-3, 1, 2, 4]\n', done.stderr
     assert mark.exists()
+
+
+def test_nobody_is_asked_where_nothing_is_left_to_do():
+    # To connect would fail.
+    assert list(Workers(backend='dask', scheduler='tcp://127.0.0.1:1').run(abs, [])) == []

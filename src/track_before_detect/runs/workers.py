@@ -80,6 +80,8 @@ class Workers:
             Told an argument with which every worker of a Dask cluster dies, returns what is
             yielded for it; DataError at the end without one.
         """
+        if not arguments:
+            return
         if self.backend == 'dask':
             with self.staying() as there:
                 yield from there._on_dask(call, arguments, instead)
