@@ -95,7 +95,7 @@ def run_compare(runs: int, seed: int, runner: Runner, *,
     leaders = _leaders(found, names)
     standings = _standings(found, names)
     return SuiteResult(
-        'Every detector on the same scenes',
+        f'{"Every detector" if methods is None else "Some detectors"} on the same scenes',
         f'{runs} batches per scene and SNR: 20 frames of 96 x 96 pixels (the six targets of Guo '
         'et al. 2018, Section 4.2: 6 frames of 50 x 50), PSF of 1 px, targets of constant '
         'amplitude, which every method is told that makes use of it; '
