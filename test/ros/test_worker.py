@@ -151,6 +151,17 @@ def test_frames_whose_stamp_is_not_filled_in_are_left_out(stream):
     assert 'stamped 0.000000 s' in stream.warnings[0]
 
 
+@pytest.mark.parametrize('every', [2, 3, 7])
+def test_frames_that_are_left_out_take_the_place_of_none_in_a_batch(start, every):
+    stream = start('none', {**PLAIN, 'batch_length': 20, 'hop': 10})
+    # As of a second publisher whose clock is behind.
+    stamps = [stamp for k in range(60) for stamp in (
+        100.0 + 0.1 * k, *([90.0 + 0.1 * k] if k > 0 and k % every == 0 else []))]
+    feed(stream, stamps)
+    wait_for_batches(stream, 5)
+    assert stream.status.state == 'ready' and stream.queue.counters.failures == 0
+
+
 def test_both_frames_that_show_a_loop_are_used(stream):
     feed(stream, 0.25 * np.arange(8))
     feed(stream, 0.25 * np.arange(8))

@@ -38,6 +38,7 @@ logger = logging.getLogger(__name__)
 FRAMES_TO_LEARN = 3
 AUTOMATIC_FLUSH_INTERVALS = 5
 AUTOMATIC_FLUSH_MINIMUM_S = 1.0
+NO_FRAME = -1
 
 
 class _StopRequestedError(Exception):
@@ -62,7 +63,7 @@ class StreamWorker:
     on_result : callable
         Takes a :class:`StreamResult`; runs in a thread of the worker, like those below.
     on_reset : callable
-        Takes nothing; ids start again.
+        Takes nothing; another stream begins, and with it other trajectories.
     on_state : callable
         Takes nothing; :attr:`status` has changed.
     on_choice : callable
@@ -115,6 +116,8 @@ class StreamWorker:
         self._failed_for: tuple[int, int] | None = None
         self._prepared_s = 0.0
         self._held: dict[int, StreamFrame] = {}
+        # That of the frame whose stamp goes back, until the next one tells what it is.
+        self._waiting = NO_FRAME
         self._last_arrival_s = 0.0
         self._window = request.window(None if request.looks else self._options)
         self._adopt(request.unseen)
@@ -215,6 +218,9 @@ class StreamWorker:
         intake = self._window.add(frame.pixels, frame.stamp_s, frame.index)
         if intake.left_out:
             self._refuse(intake.left_out)
+            # It is in no batch, and must not take the place of one that is.
+            self._held.pop(self._waiting, None)
+        self._waiting = frame.index if intake.outcome is Outcome.WAITING else NO_FRAME
         if intake.outcome is Outcome.REFUSED:
             del self._held[frame.index]
             self._refuse(f'frame refused: {intake.reason}')
