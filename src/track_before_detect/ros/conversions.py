@@ -243,6 +243,11 @@ def points_to_array(message: PointCloud2) -> NDArray:
     ----------
     message : PointCloud2
         With fields of one 32- or 64-bit number each, as ``trajectories/points`` has.
+
+    Raises
+    ------
+    DataError
+        A field is of another type, or the data do not hold what the message says.
     """
     order = '>' if message.is_bigendian else '<'
     codes = {code: kind for kind, code in _POINT_FIELD_TYPES.items()}
@@ -250,12 +255,20 @@ def points_to_array(message: PointCloud2) -> NDArray:
         if field.datatype not in codes or field.count != 1:
             raise DataError(f'field {field.name!r} of the cloud is of type {field.datatype} x '
                             f'{field.count}, expected a float32, float64 or int32')
-    dtype = np.dtype({
-        'names': [field.name for field in message.fields],
-        'formats': [order + codes[field.datatype] for field in message.fields],
-        'offsets': [field.offset for field in message.fields],
-        'itemsize': message.point_step})
-    return np.frombuffer(message.data, dtype, count=message.width * message.height).copy()
+    n_points = message.width * message.height
+    if message.point_step * n_points > len(message.data):
+        raise DataError(f'a cloud of {message.width} x {message.height} points of '
+                        f'{message.point_step} bytes each holds {len(message.data)} bytes')
+    try:
+        dtype = np.dtype({
+            'names': [field.name for field in message.fields],
+            'formats': [order + codes[field.datatype] for field in message.fields],
+            'offsets': [field.offset for field in message.fields],
+            'itemsize': message.point_step})
+    except ValueError as error:
+        raise DataError(f'the fields of a cloud with points of {message.point_step} bytes do not '
+                        f'fit: {error}') from error
+    return np.frombuffer(message.data, dtype, count=n_points).copy()
 
 
 def trajectories_from_points(message: PointCloud2) -> list[Trajectory]:
@@ -267,7 +280,7 @@ def trajectories_from_points(message: PointCloud2) -> list[Trajectory]:
     Raises
     ------
     DataError
-        The cloud has other fields.
+        The cloud has other fields, or places and times that are none.
     """
     points = points_to_array(message)
     needed = [name for name in POINT_DTYPE.names or () if name != 'z']
@@ -275,6 +288,11 @@ def trajectories_from_points(message: PointCloud2) -> list[Trajectory]:
     if missing:
         raise DataError(f'a cloud of trajectories must have the fields {", ".join(needed)}; '
                         f'missing: {", ".join(missing)}')
+    known = np.isfinite(points['x']) & np.isfinite(points['y']) & (np.abs(points['t']) < 2**31)
+    if not known.all():
+        x, y, t = (points[name][~known][0] for name in ('x', 'y', 't'))
+        raise DataError('a point of a trajectory must have finite x and y, and t within 2^31 s of '
+                        f'zero, got x {x:g}, y {y:g}, t {t:g}')
     found = []
     for number in dict.fromkeys(points['id'].tolist()):
         own = points[points['id'] == number]

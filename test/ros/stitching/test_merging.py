@@ -2,10 +2,19 @@
 
 from dataclasses import replace
 
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
+from sensor_msgs.msg import PointCloud2, PointField
 
-from track_before_detect.ros.stitching.merging import RegionStitcher
+from track_before_detect.errors import DataError
+from track_before_detect.ros import conversions
+from track_before_detect.ros.stitching.merging import (
+    check_sightings,
+    KEPT_FRAMES,
+    RegionStitcher,
+)
 from track_before_detect.types import Trajectory
 
 LENGTH, HOP, INTERVAL_S = 10, 5, 0.04
@@ -114,3 +123,59 @@ def test_another_stream_has_other_ids():
     assert [found.id for found in stitcher.merge([one, []])] == [1]
     stitcher.reset()
     assert [found.id for found in stitcher.merge([one, []])] == [2]
+
+
+@pytest.mark.parametrize('amplitudes', [np.zeros(LENGTH), np.full(LENGTH, np.nan),
+                                        np.array([np.nan, *np.full(LENGTH - 1, 9.0)])])
+def test_a_target_is_told_once_whatever_is_known_of_its_amplitudes(amplitudes):
+    one = seen(REGIONS[0], 0, np.full((LENGTH, 2), 50.0), 9.0, np.random.default_rng(8))[0]
+    one = replace(one, amplitudes=amplitudes)
+    other = replace(one, positions=one.positions + 0.3)
+    assert len(RegionStitcher(1.0).merge([[one], [other]])) == 1
+
+
+def test_more_frames_than_are_kept_and_stamps_in_no_order_are_no_batch():
+    n_frames = KEPT_FRAMES + 1
+    one = Trajectory(1, np.zeros((n_frames, 2)), np.ones(n_frames), np.zeros((n_frames, 2)),
+                     np.arange(float(n_frames)), np.arange(n_frames), 9.0, 3.0)
+    with pytest.raises(DataError, match='at most 2000 frames, got trajectories in 2001'):
+        check_sightings([one])
+    with pytest.raises(DataError, match='must increase, found those of 1 to go from 2000 to 0 s'):
+        check_sightings([replace(one, stamps=one.stamps[::-1])])
+
+
+NUMBERS = st.sampled_from([0.0, 1.0, -1.0, 3e9, 1e12, 1e300, -1e38, np.nan, np.inf, -np.inf])
+
+
+@given(st.lists(st.tuples(
+    st.sampled_from([name for name in conversions.POINT_DTYPE.names if name != 'id']),
+    st.integers(0, LENGTH - 1), NUMBERS), max_size=4),
+    st.dictionaries(st.sampled_from(['width', 'height', 'point_step', 'is_bigendian']),
+                    st.integers(0, 300), max_size=2),
+    st.sampled_from(['', 'twice', 'far', 'short']))
+def test_a_cloud_that_may_be_anything_is_merged_or_refused(numbers, told, fault):
+    points = np.zeros(LENGTH, conversions.POINT_DTYPE)
+    points['t'] = STAMPS[:LENGTH]
+    for name, row, number in numbers:
+        with np.errstate(over='ignore'):
+            points[name][row] = number
+    fields = [PointField(name=name, offset=points.dtype.fields[name][1], count=1, datatype={
+        'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'i4': PointField.INT32}[
+            points.dtype.fields[name][0].str[1:]]) for name in points.dtype.names]
+    if fault == 'twice':
+        fields.append(fields[0])
+    elif fault == 'far':
+        fields[0].offset = 2**31
+    message = PointCloud2(**{
+        'width': LENGTH, 'height': 1, 'point_step': points.itemsize, **told,
+        'is_bigendian': bool(told.get('is_bigendian', 0) % 2)}, fields=fields)
+    message.data = points.tobytes()[:100 if fault == 'short' else None]
+    try:
+        found = conversions.trajectories_from_points(message)
+        check_sightings(found)
+    except DataError:
+        return
+    merged = RegionStitcher(1.0).merge([found, found])
+    conversions.points_from_trajectories(merged, message.header)
+    conversions.paths_from_trajectories(merged, message.header)
+    conversions.markers_from_trajectories(merged, message.header, 1.0)

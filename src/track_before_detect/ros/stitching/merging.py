@@ -6,13 +6,27 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from track_before_detect.errors import DataError
 from track_before_detect.tracking.stitcher import SAME_FRAME_GATE, Stitcher
 from track_before_detect.types import Trajectory
 
 # Share of the amplitudes in frames in which two sightings of one target are near each other.
 SHARE_NEAR = 0.5
-# Frames of which the numbers are kept; more than a few batches have.
+# Frames of which the numbers are kept, and the most of a batch; more than a few batches have.
 KEPT_FRAMES = 2000
+
+
+def check_sightings(found: Sequence[Trajectory]) -> None:
+    """Raise DataError where what a region found cannot be trajectories of one batch."""
+    for one in found:
+        if not np.all(np.diff(one.stamps) > 0):
+            raise DataError(f'the stamps of a trajectory must increase, found those of '
+                            f'{one.id} to go from {one.stamps[0]:g} to {one.stamps[-1]:g} s in '
+                            'another order')
+    n_frames = len({stamp for one in found for stamp in one.stamps.tolist()})
+    if n_frames > KEPT_FRAMES:
+        raise DataError(f'a batch must have at most {KEPT_FRAMES} frames, got trajectories in '
+                        f'{n_frames}')
 
 
 class RegionStitcher:
@@ -60,7 +74,8 @@ class RegionStitcher:
             n_frames = round((stamp - nearest) / self._interval_s)
             self._numbers[stamp] = (self._numbers.get(nearest, 0)
                                     + (n_frames or int(np.sign(stamp - nearest))))
-        for stamp in sorted(self._numbers)[:-KEPT_FRAMES]:
+        asked = {stamp for some in stamps for stamp in some}
+        for stamp in sorted(self._numbers.keys() - asked)[:-KEPT_FRAMES]:
             del self._numbers[stamp]
 
     def _once(self, parts: Sequence[Sequence[Trajectory]]) -> list[Trajectory]:
@@ -86,7 +101,10 @@ class RegionStitcher:
         """
         _, in_one, in_other = np.intersect1d(one.stamps, other.stamps, return_indices=True)
         distances = np.hypot(*(one.positions[in_one] - other.positions[in_other]).T)
-        weights = np.abs(one.amplitudes[in_one] * other.amplitudes[in_other])
+        # The amplitude of a frame without contrast is not a number.
+        weights = np.nan_to_num(np.abs(one.amplitudes[in_one] * other.amplitudes[in_other]))
+        if not weights.any():
+            weights = np.ones_like(weights)
         near = distances <= self._gate
         if not near.any() or weights[near].sum() < SHARE_NEAR * weights.sum():
             return np.inf

@@ -25,7 +25,7 @@ from track_before_detect.ros.detector_node import LIFETIME_BATCHES, OUTPUT_DEPTH
 from track_before_detect.ros.diagnostics import status_message, Warnings
 from track_before_detect.ros.logs.qos_events import input_events
 from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
-from track_before_detect.ros.stitching.merging import RegionStitcher
+from track_before_detect.ros.stitching.merging import check_sightings, RegionStitcher
 from track_before_detect.ros.stitching.rounds import RegionBatch, Rounds
 from track_before_detect.types import Trajectory
 
@@ -103,6 +103,7 @@ class StitcherNode(ParameterizedNode):
         self._n_received[region] += 1
         try:
             found = conversions.trajectories_from_points(message)
+            check_sightings(found)
         except DataError as error:
             self._n_refused += 1
             self._warn('message', f'message of {self._names[region]} refused: {error}')
