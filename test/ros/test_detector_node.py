@@ -394,6 +394,7 @@ def test_parameters_describe_themselves(launch, station):
     ('psf_sigma_px:=wide', "psf_sigma_px must be a number, got 'wide'"),
     ('psf_sigm_px:=1.0', "unknown parameter 'psf_sigm_px'; did you mean psf_sigma_px?"),
     ('hop:=30', 'hop must be at most batch_length (20), got 30'),
+    ('camera_info:=camera info', "camera_info must be the name of a topic, got 'camera info'"),
     ('qos_overrides./image.subscription.reliability:=maybe', 'QoS'),
 ])
 def test_a_bad_parameter_at_start_is_one_sentence_and_exit_code_2(launch, argument, sentence):

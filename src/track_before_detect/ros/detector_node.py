@@ -20,6 +20,7 @@ from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
@@ -30,6 +31,7 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import _declare_qos_parameters, QoSOverridingOptions
 from rclpy.subscription import Subscription
+from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Float32MultiArray, Header
 from std_srvs.srv import Trigger
@@ -295,6 +297,12 @@ class DetectorNode(ManagedNode):
                             request.unseen.options.doppler_ambiguities})
         # Kept once it is known: it cuts frames already while other parameters change.
         self._region = self._region or region
+        try:
+            if values['camera_info']:
+                validate_topic_name(values['camera_info'])
+        except InvalidTopicNameException as error:
+            raise ParameterError('camera_info must be the name of a topic, got '
+                                 f'{values["camera_info"]!r}') from error
         if values['camera_info'] and self._sensors:
             raise ParameterError('camera_info tells of one sensor, got '
                                  f'{values["camera_info"]!r} beside {len(self._sensors)} sensors')
@@ -451,6 +459,9 @@ class DetectorNode(ManagedNode):
 
     def _take(self, read: Callable[[Any], StampedFrame], sensor: int, message: Any) -> None:
         queue = self._worker.queue
+        if self._stream is not None:
+            # Here, for frames may have to wait for the search.
+            self._stream.counts[sensor].arrive(time.monotonic())
         if not self._active:
             queue.drop_message()
             return
@@ -490,6 +501,9 @@ class DetectorNode(ManagedNode):
         return response
 
     def _publish(self, result: StreamResult) -> None:
+        if not self._active:
+            # It was being searched when the node was deactivated, which removed what was shown.
+            return
         # The overlay is of what was searched.
         searched = result
         if self._region is not None:

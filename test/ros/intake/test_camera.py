@@ -94,6 +94,7 @@ def test_angles_are_to_the_right_and_up_with_the_covariance_of_their_pixels():
 
 @pytest.mark.parametrize(('fields', 'words'), [
     ({'k': [0.0] * 9}, 'not calibrated: a focal length is 0'),
+    ({'k': [F, 0.0, CX, 0.0, F, CY, 0.0, 0.0, 0.0]}, 'matrix of the camera cannot be inverted'),
     ({'distortion_model': 'fov'}, "one of plumb_bob, rational_polynomial, equidistant, got 'fov'"),
     ({'d': [0.1, 0.2]}, r'plumb_bob must be 0 or 4 or 5 finite numbers, got \[0.1, 0.2\]'),
     ({'d': [float('nan')] * 5}, 'finite numbers, got')])

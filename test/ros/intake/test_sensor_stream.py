@@ -90,10 +90,10 @@ def test_a_loop_goes_on_and_so_does_a_sensor_whose_clock_is_behind_after_it(stre
 
 def test_silence_is_known_by_the_interval_of_each(stream):
     assert stream.counts[0].silent_s(0.0) == np.inf
-    for arrival in (10.0, 20.0):
-        stream.add(frame(0, arrival, arrival_s=arrival))
-        stream.add(frame(1, arrival, arrival_s=20.0 + 0.01 * arrival))
     left, right = stream.counts
+    for arrival in (10.0, 20.0):
+        left.arrive(arrival)
+        right.arrive(20.0 + 0.01 * arrival)
     assert left.silent_s(69.0) == 0.0 and left.silent_s(71.0) == pytest.approx(51.0)
     assert right.silent_s(22.0) == 0.0 and right.silent_s(23.0) == pytest.approx(2.8)
 

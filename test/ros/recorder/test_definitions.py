@@ -23,7 +23,9 @@ def test_a_definition_has_the_fields_of_the_type_and_of_all_that_it_holds(name):
         assert fields == known[kind][1]
 
 
-@pytest.mark.parametrize('name', ['none_msgs/msg/Image', 'sensor_msgs/msg/Picture'])
-def test_a_type_that_is_not_installed_is_an_import_error(name):
+@pytest.mark.parametrize('name', [
+    'none_msgs/msg/Image', 'sensor_msgs/msg/Picture', 'MyImage', 'sensor_msgs/msg/__name__',
+    'sensor_msgs/Image', '../msg/Image', ''])
+def test_a_type_that_is_not_installed_or_none_is_an_import_error(name):
     with pytest.raises(ImportError):
         message_class(name)

@@ -106,11 +106,18 @@ def test_a_parameter_of_no_use_is_one_sentence(station, values, sentence):
             Parameter(name, value=value) for name, value in values.items()])
 
 
+def test_a_parameter_that_is_not_known_leaves_no_file_behind(launch, tmp_path):
+    path = tmp_path / 'a.mcap'
+    recorder = launch('recorder', '-p', f'output:={path}', '-p', 'topcs:=image')
+    assert recorder.wait() == 2
+    assert 'did you mean topics?' in recorder.output and not path.exists()
+
+
 def test_a_recording_is_never_overwritten(launch, tmp_path):
     path = tmp_path / 'precious.mcap'
     path.write_bytes(b'old')
     recorder = launch('recorder', '-p', f'output:={path}')
     assert recorder.wait() == 2
-    assert recorder.output == (
-        f'recorder: error: output {path} cannot be made: File exists\n')
+    assert recorder.output.endswith(
+        f'\nrecorder: error: output {path} cannot be made: File exists\n')
     assert path.read_bytes() == b'old'

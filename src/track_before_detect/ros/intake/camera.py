@@ -113,6 +113,11 @@ class Camera:
                             f'numbers, got {given.tolist()}')
         if not self.matrix[0, 0] or not self.matrix[1, 1]:
             raise DataError('the camera is not calibrated: a focal length is 0')
+        try:
+            np.linalg.inv(self.matrix)
+        except np.linalg.LinAlgError as error:
+            raise DataError('the matrix of the camera cannot be inverted, got '
+                            f'{np.ravel(self.matrix).tolist()}') from error
 
     def rays(self, positions: NDArray) -> NDArray[np.float64]:
         """Return unit vectors (N, 3) towards what is seen at x and y (N, 2) of a frame.

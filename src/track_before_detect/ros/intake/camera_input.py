@@ -81,7 +81,7 @@ class CameraInput:
         """Take a message; what cannot be used is said where rays are asked for."""
         try:
             self._camera = camera_of(message, self._rectified)
-        except (DataError, np.linalg.LinAlgError) as error:
+        except DataError as error:
             self._camera = None
             self._missing = 'camera', f'{self._topic} cannot be used: {error}'
 

@@ -25,7 +25,7 @@ class SensorCount:
     Attributes
     ----------
     received : int
-        Frames that came.
+        Messages that came, also those that are no frames.
     late : int
         Of these, those left out because later ones had gone on.
     newest_s : float
@@ -38,6 +38,13 @@ class SensorCount:
     late: int = 0
     newest_s: float = math.nan
     interval_s: float = 0.0
+
+    def arrive(self, now_s: float) -> None:
+        """Count a message that came at a time of the monotonic clock."""
+        if self.received:
+            self.interval_s = now_s - self.newest_s
+        self.received += 1
+        self.newest_s = now_s
 
     def silent_s(self, now_s: float) -> float:
         """Return for how long nothing has come, if too long, else 0; infinite before the first."""
@@ -67,7 +74,7 @@ class SensorStream:
     Attributes
     ----------
     counts : list of SensorCount
-        One for each sensor.
+        One for each sensor; whoever receives the messages tells them of each that arrives.
     """
 
     def __init__(self, names: Sequence[str], shapes: Sequence[tuple[int, int]],
@@ -104,11 +111,6 @@ class SensorStream:
         if frame.pixels.shape != self._shapes[number]:
             raise DataError(f'sensor {name}: expected frames of {_size(self._shapes[number])}, '
                             f'found {_size(frame.pixels.shape)}')
-        count = self.counts[number]
-        count.received += 1
-        count.interval_s = frame.arrival_s - (count.newest_s if count.received > 1
-                                              else frame.arrival_s)
-        count.newest_s = frame.arrival_s
         self._waited_for.add(number)
         if stamp == self._newest[number]:
             raise DataError(f'sensor {name}: expected a stamp after {stamp:.6f} s, found the same '
@@ -121,7 +123,7 @@ class SensorStream:
             self._passed = -math.inf
         elif stamp < self._passed:
             self._newest[number] = stamp
-            count.late += 1
+            self.counts[number].late += 1
             raise DataError(
                 f'sensor {name}: a frame is {self._passed - stamp:.3g} s older than those that '
                 'went on without it (sensor_wait_s is how long they wait)')

@@ -62,7 +62,7 @@ class FieldOutputs:
     """
 
     def __init__(self, create: Callable[[type, str], Publisher], values: Mapping[str, Any]):
-        scale, stream = RadarScale.of(values), uuid4()
+        scale = RadarScale.of(values)
         self.reset()
         self._outputs: list[tuple[Publisher, ModuleType, Made]] = []
 
@@ -86,11 +86,12 @@ class FieldOutputs:
                    lambda messages, targets, header, n_columns, options: radar_tracks(
                        messages, targets, header, scale,
                        n_columns // 2 + options.doppler_offset_bins,
-                       n_columns if options.doppler_ambiguities else 0, stream))
+                       n_columns if options.doppler_ambiguities else 0, self._stream))
 
     def reset(self) -> None:
-        """Forget which frames were seen: their numbers begin again."""
+        """Forget which frames and targets were seen: their numbers begin again."""
         self._newest = -1
+        self._stream = uuid4()
 
     def messages(self, result: StreamResult, options: DetectorOptions,
                  ) -> Iterator[tuple[Publisher, object]]:

@@ -7,9 +7,13 @@ import re
 # Of the generated Python, where its names differ from those of definitions.
 _PLAIN = {'boolean': 'bool', 'octet': 'byte', 'float': 'float32', 'double': 'float64'}
 
+_TYPE = re.compile(r'\w+/msg/[A-Z]\w*')
+
 
 def message_class(name: str) -> type:
     """Return the class of a type such as ``sensor_msgs/msg/Image``; ImportError without one."""
+    if not _TYPE.fullmatch(name):
+        raise ImportError(f'{name!r} is no type of a message of ROS')
     package, _, kind = name.split('/')
     try:
         found: type = getattr(importlib.import_module(f'{package}.msg'), kind)

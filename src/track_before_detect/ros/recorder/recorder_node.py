@@ -81,8 +81,9 @@ class RecorderNode(ParameterizedNode):
         # To the millisecond: another may be started in the same second.
         self._path = Path(values['output'] or datetime.now().strftime(
             'recording_%Y%m%d_%H%M%S_%f')[:-3] + SUFFIX)
-        self._open(values)
+        # Before the file is made, which is left behind otherwise.
         self.finish_parameters()
+        self._open(values)
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', OUTPUT_DEPTH)
         # A simulated clock may stand still.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
