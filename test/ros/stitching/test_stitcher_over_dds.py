@@ -11,7 +11,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2  # noqa: E402
 from std_msgs.msg import Header  # noqa: E402
-from visualization_msgs.msg import MarkerArray  # noqa: E402
+from visualization_msgs.msg import Marker, MarkerArray  # noqa: E402
 
 from track_before_detect.errors import ParameterError  # noqa: E402
 from track_before_detect.ros import conversions  # noqa: E402
@@ -125,6 +125,7 @@ def test_a_target_that_crosses_the_seam_keeps_its_id_and_nothing_is_found_twice(
 def test_a_silent_detector_is_named_and_the_others_go_on(launch, station):
     station.listen(DiagnosticArray, '/diagnostics')
     merged = station.listen(PointCloud2, 'trajectories/points')
+    markers = station.listen(MarkerArray, 'trajectories/markers')
     stitcher = launch('stitcher', '-p', 'inputs:=[left, right]', '-p', 'wait_s:=1.0')
     publishers = [station.publisher(PointCloud2, f'{name}/trajectories/points', RELIABLE)
                   for name in REGIONS]
@@ -156,6 +157,19 @@ def test_a_silent_detector_is_named_and_the_others_go_on(launch, station):
     clouds = [conversions.points_to_array(cloud) for cloud in merged]
     assert {number for cloud in clouds for number in cloud['id']} == {1}
     assert set(clouds[2]['statistic']) == {10.0} and len(clouds[2]) == LENGTH
+
+    def removed():
+        return {marker.id for message in markers for marker in message.markers
+                if marker.action == Marker.DELETE}
+
+    # It may be what the right is about to tell of, until both tell of none.
+    sent(0, 3, 0)
+    station.wait_until(lambda: len(markers) == 4, 'what the left found without the right')
+    assert not removed()
+    sent(0, 4, 0)
+    sent(1, 4, 0)
+    station.wait_until(removed, 'the removal of the marker')
+    assert removed() == {1}
     assert stitcher.interrupt() == 0
     assert 'Traceback' not in stitcher.output
 

@@ -69,7 +69,8 @@ class StitcherNode(ParameterizedNode):
         self._n_received = [0] * len(self._names)
         self._n_rounds = self._n_incomplete = self._n_twice = self._n_trajectories = 0
         self._n_restarts = self._n_refused = self._n_lost = 0
-        self._shown: set[int] = set()
+        # The round in which a trajectory was shown last.
+        self._shown: dict[int, int] = {}
         self.finish_parameters()
         self._points = self.create_publisher(PointCloud2, POINTS, OUTPUT_DEPTH)
         self._paths = self.create_publisher(Path, 'trajectories/path', OUTPUT_DEPTH)
@@ -127,8 +128,12 @@ class StitcherNode(ParameterizedNode):
         merged = self._stitcher.merge(parts)
         self._n_trajectories += len(merged)
         self._n_twice += sum(map(len, parts)) - len(merged)
-        shown = {one.id for one in merged}
-        ended, self._shown = self._shown - shown, shown
+        self._shown |= {one.id: self._n_rounds for one in merged}
+        # A trajectory may be of a region that is in the next round only.
+        n_patient = 1 if len(batches) == len(self._names) else len(self._names)
+        ended = {one for one, newest in self._shown.items()
+                 if newest <= self._n_rounds - n_patient}
+        self._shown = {one: newest for one, newest in self._shown.items() if one not in ended}
         self._points.publish(conversions.points_from_trajectories(merged, header))
         for path in conversions.paths_from_trajectories(merged, header):
             self._paths.publish(path)
