@@ -38,9 +38,11 @@ from track_before_detect.ros.domain import free_domain_id
 FAULTS = ('restarts', 'malformed', 'jumps')
 BATCH, HOP = 20, 10
 MOST_GROWTH, NEAR_PX, SPEED_PX_S = 0.02, 2.0, 5.0
-# Seconds before memory is compared, between two faults of a kind, and over which memory is a
-# median.
-WARM_UP_S, FAULT_PERIOD_S, MEMORY_S = 20.0, 17.0, 5.0
+# Seconds before memory is compared, and between two faults of a kind.
+WARM_UP_S, FAULT_PERIOD_S = 20.0, 17.0
+# Memory is a median over so many seconds, or this share of a shorter life: from one moment to the
+# next it differs by the frames of a batch, which may be held or not.
+MEMORY_S, MEMORY_SHARE = 60.0, 0.1
 # Of the batches; with faults the first ones after each may miss the target.
 LEAST_FOLLOWED = {False: 0.98, True: 0.8}
 QOS = QoSProfile(depth=20, reliability=QoSReliabilityPolicy.RELIABLE)
@@ -254,8 +256,10 @@ class Soak:
         """Return memory after warm-up and at the end, in bytes; None when it was too short."""
         began_s = self.memory[0][0] if self.memory else 0.0
         times, sizes = (np.array(self.memory) if self.memory else np.empty((0, 2))).T
-        first = (times > began_s + WARM_UP_S) & (times < began_s + WARM_UP_S + MEMORY_S)
-        last = times > times.max(initial=0.0) - MEMORY_S
+        end_s = times.max(initial=0.0)
+        median_s = min(MEMORY_S, MEMORY_SHARE * (end_s - began_s))
+        first = (times > began_s + WARM_UP_S) & (times < began_s + WARM_UP_S + median_s)
+        last = times > end_s - median_s
         if not first.any() or times[last].min() < times[first].max():
             return None
         return np.median(sizes[first]), np.median(sizes[last])
