@@ -59,3 +59,35 @@ def test_what_cannot_be_written_is_refused_before_the_search(
     error = capsys.readouterr().err
     assert all(fragment in error for fragment in fragments)
     assert stand_in.options is None and not (tmp_path / 'out').exists()
+
+
+@pytest.mark.parametrize('link', [False, True], ids=['file', 'link'])
+def test_no_film_takes_the_place_of_its_recording(stand_in, tmp_path, capsys, link):
+    pytest.importorskip('PIL', reason='the extra [video] is missing')
+    recording = tmp_path / 'flight.gif'
+    recording.write_bytes(b'frames of a flight')
+    given = recording
+    if link:
+        given = tmp_path / 'elsewhere' / 'link.gif'
+        given.parent.mkdir()
+        given.symlink_to(recording)
+    assert detect(given, '--output', tmp_path, '--video', 'flight.gif') == 2
+    error = capsys.readouterr().err
+    assert f'{recording} is an input' in error and '--output' in error
+    assert recording.read_bytes() == b'frames of a flight'
+    assert stand_in.options is None
+
+
+def test_no_result_takes_the_place_of_another_recording(stand_in, tmp_path, capsys):
+    folder = tmp_path / 'a'
+    folder.mkdir()
+    (folder / 'rejected.csv').write_bytes(b'given as an input')
+    np.savez(tmp_path / 'a.npz', frames=np.zeros((6, 16, 20)))
+    given = tmp_path / 'a.npz', folder / 'rejected.csv', '--output', tmp_path
+    assert detect(*given, '--explain') == 2
+    assert f'{folder / "rejected.csv"} is an input' in capsys.readouterr().err
+    assert stand_in.options is None
+    # A file that is not written threatens nothing: the other recording is searched.
+    detect(*given)
+    assert stand_in.options is not None
+    assert (folder / 'rejected.csv').read_bytes() == b'given as an input'

@@ -14,7 +14,11 @@ import numpy as np
 from track_before_detect import __version__
 from track_before_detect.capabilities import check_options
 from track_before_detect.checks import checked_number
-from track_before_detect.cli.arguments.results import add_result_arguments, wanted_files
+from track_before_detect.cli.arguments.results import (
+    add_result_arguments,
+    check_inputs_stay,
+    wanted_files,
+)
 from track_before_detect.cli.console import (
     add_output_argument,
     add_set_argument,
@@ -144,6 +148,7 @@ def run(arguments: Namespace) -> int:
     check_output_folder(Path(arguments.output))
     wanted = wanted_files(arguments)
     paths = expand_inputs(arguments.inputs)
+    check_inputs_stay(paths, folders_of(paths, arguments), wanted.names(arguments.explain))
     # Where lines of JSON are asked for, other programs read what is printed.
     words = sys.stderr if arguments.json else sys.stdout
     if arguments.scheduler is not None and len(paths) > 1:

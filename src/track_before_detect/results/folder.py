@@ -17,6 +17,8 @@ from track_before_detect.results.saved import Opened
 from track_before_detect.timestamps import increasing_frames
 from track_before_detect.types import Progress, Trajectory
 
+SUMMARY, OVERLAY, REJECTED = 'summary.json', 'overlay.png', 'rejected.csv'
+
 
 @dataclasses.dataclass(frozen=True)
 class Wanted:
@@ -36,6 +38,13 @@ class Wanted:
     overlay: bool = True
     film: str | None = None
 
+    def names(self, with_rejected: bool) -> list[str]:
+        """Return the names of all files of a result, with that of rejected candidates or not."""
+        optional = {REJECTED: with_rejected, OVERLAY: self.overlay}
+        return [*(one.file for one in self.formats), SUMMARY,
+                *(name for name, is_wanted in optional.items() if is_wanted),
+                *([self.film] if self.film is not None else [])]
+
 
 def write_folder(output: Path, found: Found, summary: dict[str, Any], wanted: Wanted,
                  rejected: Sequence[Trajectory] | None = None,
@@ -46,14 +55,14 @@ def write_folder(output: Path, found: Found, summary: dict[str, Any], wanted: Wa
         for one in wanted.formats:
             one.write(aside / one.file, found)
         if rejected is not None:
-            write_trajectories_csv(aside / 'rejected.csv', rejected, with_reason=True)
+            write_trajectories_csv(aside / REJECTED, rejected, with_reason=True)
         if wanted.overlay:
             middle = len(recording) // 2
-            write_overlay(aside / 'overlay.png', recording[middle], result.trajectories,
+            write_overlay(aside / OVERLAY, recording[middle], result.trajectories,
                           recording.truth, f'{recording.name}, frame {middle}', middle)
         if wanted.film is not None:
             write_film(aside / wanted.film, recording, result.trajectories, progress)
-        write_summary_json(aside / 'summary.json', summary)
+        write_summary_json(aside / SUMMARY, summary)
         names = sorted(file.name for file in aside.iterdir())
     return [output / name for name in names]
 

@@ -1,6 +1,8 @@
 """What ``tbd detect`` writes, as its arguments say."""
 
 from argparse import Namespace
+from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import Any
 
 from track_before_detect.cli.console import require_extra
@@ -41,3 +43,13 @@ def wanted_files(arguments: Namespace) -> Wanted:
     if not arguments.no_overlay:
         require_extra('matplotlib', 'plots', 'overlay.png', ', or give --no-overlay')
     return Wanted(formats, not arguments.no_overlay, arguments.video)
+
+
+def check_inputs_stay(inputs: Iterable[Path], outputs: Iterable[Path],
+                      names: Sequence[str]) -> None:
+    """Refuse files of these names in folders of results that would take the place of an input."""
+    kept = {path.resolve() for path in inputs}
+    for file in (output / name for output in outputs for name in names):
+        if file.resolve() in kept:
+            raise ParameterError(f'{file} is an input, and a file of the result would replace it: '
+                                 'give another name or another --output')
