@@ -3,6 +3,7 @@
 import hashlib
 import os
 from pathlib import Path
+import tokenize
 from typing import Any
 import zipfile
 import zlib
@@ -13,7 +14,8 @@ from numpy.typing import NDArray
 from track_before_detect.errors import ParameterError, TbdError
 from track_before_detect.recordings.images import IMAGE_SUFFIXES, read_image
 
-_ARCHIVE_ERRORS = (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile, zlib.error)
+_ARCHIVE_ERRORS = (OSError, EOFError, ValueError, KeyError, SyntaxError, tokenize.TokenError,
+                   zipfile.BadZipFile, zlib.error)
 
 
 class ArrayOption:
@@ -90,7 +92,8 @@ def _read(name: str, path: Path) -> Any:
                 f'{path}')
         with open(path, 'rb') as file:
             content = np.load(file, allow_pickle=False)
-            if suffix == '.npy':
+            # What is in the file tells, not its name.
+            if isinstance(content, np.ndarray):
                 return content
             with content as archive:
                 return archive[_name_in(archive.files, name, path)]

@@ -65,6 +65,25 @@ def test_what_is_needed_and_cannot_be_imported_is_broken():
                for sentence in json.loads(printed)['broken'])
 
 
+def test_a_middleware_that_does_not_answer_is_broken(tmp_path, monkeypatch, capsys):
+    (tmp_path / 'rclpy.py').touch()
+    monkeypatch.syspath_prepend(tmp_path)
+
+    run = subprocess.run
+
+    def asked(*command, **how):
+        if 'import rclpy' not in str(command):
+            return run(*command, **how)
+        raise subprocess.TimeoutExpired(command, how['timeout'])
+
+    monkeypatch.setattr(subprocess, 'run', asked)
+    assert main(['doctor', '--json']) == 1
+    report = json.loads(capsys.readouterr().out)
+    [sentence] = [said for said in report['broken'] if 'rclpy' in said]
+    assert sentence.endswith('its middleware did not answer within 30 s')
+    assert report['ROS']['middleware'] is None
+
+
 def test_the_ros_that_is_there_names_its_middleware(capsys):
     if importlib.util.find_spec('rclpy') is None:
         pytest.skip('there is no ROS')

@@ -31,6 +31,12 @@ def test_a_file_is_the_array_it_holds(files, name):
     assert from_file != DetectorOptions()
 
 
+@pytest.mark.parametrize(('name', 'other'), [('psf.npy', 'a.npz'), ('psf.npz', 'a.npy')])
+def test_a_file_is_read_as_what_it_is_not_as_it_is_called(files, name, other):
+    (files / name).rename(files / other)
+    assert DetectorOptions(psf=str(files / other)) == DetectorOptions(psf=PSF)
+
+
 def test_an_image_is_the_array_of_its_pixels(tmp_path):
     image = pytest.importorskip('PIL.Image')
     pixels = np.arange(15, dtype=np.uint8).reshape(3, 5)
@@ -59,6 +65,7 @@ def test_the_array_of_an_option_cannot_be_changed():
 
 @pytest.mark.parametrize(('value', 'words'), [
     ('nowhere.npy', 'nowhere.npy'), ('text.txt', '.npz'), ('broken.npz', 'broken.npz'),
+    ('open.npy', 'open.npy'),
     ('empty.png', 'empty'), ('two.npz', 'psf'), (3.0, 'array'), ([['a']], 'array'),
     ([[1], [1, 2]], 'array'), (np.ones((3, 3), complex), 'real')])
 def test_what_is_no_array_is_refused_in_one_sentence(tmp_path, value, words):
@@ -66,6 +73,9 @@ def test_what_is_no_array_is_refused_in_one_sentence(tmp_path, value, words):
         for name in ('text.txt', 'broken.npz', 'empty.png'):
             (tmp_path / name).write_bytes(b'' if name == 'empty.png' else b'PK nothing')
         np.savez(tmp_path / 'two.npz', a=PSF, b=PSF)
+        np.save(tmp_path / 'open.npy', PSF)
+        unclosed = (tmp_path / 'open.npy').read_bytes().replace(b')', b' ', 1)
+        (tmp_path / 'open.npy').write_bytes(unclosed)
         value = str(tmp_path / value)
     with pytest.raises(ParameterError, match=words) as error:
         DetectorOptions(psf=value)

@@ -192,6 +192,26 @@ def test_every_truncation_of_an_npy_is_refused(tmp_path):
         refuse(path, 'not a complete .npy array')
 
 
+def test_an_archive_with_the_name_of_an_array_is_refused_with_the_name_it_should_have(tmp_path):
+    np.savez(tmp_path / 'a.npz', frames=FRAMES)
+    refuse((tmp_path / 'a.npz').rename(tmp_path / 'a.npy'),
+           'a.npy must be an array, found an archive: give it a name that ends with .npz')
+
+
+@pytest.mark.parametrize('suffix', ['.npy', '.npz'])
+def test_a_header_whose_bracket_never_closes_is_refused(tmp_path, suffix):
+    written = io.BytesIO()
+    np.save(written, FRAMES)
+    path = tmp_path / f'open{suffix}'
+    damaged = written.getvalue().replace(b')', b' ', 1)
+    if suffix == '.npy':
+        path.write_bytes(damaged)
+    else:
+        with zipfile.ZipFile(path, 'w') as archive:
+            archive.writestr('frames.npy', damaged)
+    refuse(path, f'open{suffix}')
+
+
 @pytest.mark.parametrize('stamps', [[0, 1, 1, 3, 4], [0, 1, np.nan, 3, 4], [9, 1, 2, 3, 4]])
 def test_stamps_that_do_not_increase_are_kept_for_the_search_to_set_aside(tmp_path, stamps):
     np.savez(tmp_path / 'a.npz', frames=FRAMES, stamps=stamps)

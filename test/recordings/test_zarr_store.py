@@ -2,6 +2,7 @@
 
 import sys
 import tracemalloc
+import zipfile
 
 import numpy as np
 import pytest
@@ -52,6 +53,25 @@ def test_what_is_no_recording_is_refused(tmp_path):
                         ('flat.zarr', 'a single image'), ('torn.zip', 'no complete Zarr')):
         with pytest.raises(DataError, match=words):
             open_recording(tmp_path / name)
+
+
+def test_a_flipped_byte_is_said_of_the_frame_it_lies_in(tmp_path):
+    path = write(tmp_path / 'a.zip', 3, chunks=(1, 6, 5))
+    whole = path.read_bytes()
+    with zipfile.ZipFile(path) as archive:
+        chunk = archive.getinfo('frames/c/4/0/0')
+    for flipped in range(chunk.header_offset, chunk.header_offset + 60):
+        damaged = bytearray(whole)
+        damaged[flipped] ^= 0xff
+        path.write_bytes(damaged)
+        try:
+            with open_recording(path) as recording:
+                np.testing.assert_array_equal(list(recording), FRAMES)
+        except DataError as error:
+            assert 'frame 4 of' in str(error)
+        else:
+            # Dates and the like, which nobody reads.
+            assert flipped < chunk.header_offset + 30
 
 
 @pytest.mark.parametrize('suffix', ['.zarr', '.zip'])

@@ -166,20 +166,30 @@ def _ros(broken: list[str]) -> dict[str, Any]:
         return {'found': 'none', 'distribution': os.environ.get('ROS_DISTRO')}
     prefixes = [prefix for prefix in os.environ.get('AMENT_PREFIX_PATH', '').split(':') if prefix]
     sourced = any(Path(found.origin).is_relative_to(prefix) for prefix in prefixes)
-    asked = subprocess.run([sys.executable, '-c', _MIDDLEWARE], capture_output=True, text=True,
-                           timeout=_PATIENCE_S)
-    if asked.returncode:
-        reasons = re.findall(r'^\w+(?:Error|Exception): .*', asked.stderr, re.MULTILINE)
-        reason = [f'exit code {asked.returncode}', *reasons][-1]
-        broken.append(f'rclpy is there and cannot be used: {reason}')
     return {
         'found': 'sourced' if sourced else 'wheels',
         'distribution': os.environ.get('ROS_DISTRO'),
         'rclpy': _version('rclpy'),
-        'middleware': asked.stdout.strip() or None,
+        'middleware': _middleware(broken),
         'messages': {name: 'there' if importlib.util.find_spec(name) else None
                      for name in _MESSAGES},
     }
+
+
+def _middleware(broken: list[str]) -> str | None:
+    """Return what the middleware of ROS calls itself, if it answers."""
+    try:
+        asked = subprocess.run([sys.executable, '-c', _MIDDLEWARE], capture_output=True, text=True,
+                               timeout=_PATIENCE_S)
+    except subprocess.TimeoutExpired:
+        broken.append('rclpy is there and cannot be used: its middleware did not answer within '
+                      f'{_PATIENCE_S:g} s')
+        return None
+    if asked.returncode:
+        reasons = re.findall(r'^\w+(?:Error|Exception): .*', asked.stderr, re.MULTILINE)
+        reason = [f'exit code {asked.returncode}', *reasons][-1]
+        broken.append(f'rclpy is there and cannot be used: {reason}')
+    return asked.stdout.strip() or None
 
 
 def _extras() -> dict[str, dict[str, str | None]]:

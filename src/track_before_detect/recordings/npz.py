@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from pathlib import Path
+import tokenize
 from typing import IO
 import zipfile
 import zlib
@@ -18,9 +19,10 @@ from track_before_detect.errors import DataError
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors
 from track_before_detect.recordings.recording import MappedSource, Recording
 
-# What damaged or foreign archives raise in zipfile, zlib and numpy.lib.format.
+# What damaged or foreign archives raise in zipfile, zlib and numpy.lib.format, which hands the
+# headers of arrays to tokenize.
 _READ_ERRORS = (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, SyntaxError,
-                NotImplementedError, RuntimeError)
+                tokenize.TokenError, NotImplementedError, RuntimeError)
 _SKIP_BYTES = 2**20
 # Of stamps or truth: zeros without end pack to next to nothing.
 _MOST_VALUES = 10**7
@@ -49,6 +51,10 @@ def open_npy(path: Path) -> Recording:
         raise DataError(f'{path} is empty')
     with read_errors(f'{path} is not a complete .npy array', _READ_ERRORS):
         frames = np.load(path, mmap_mode='r', allow_pickle=False)
+    if not isinstance(frames, np.ndarray):
+        frames.close()
+        raise DataError(f'{path} must be an array, found an archive: give it a name that ends '
+                        'with .npz')
     check_layout(f'array of {path}', frames.shape, frames.dtype)
     return Recording(path.name, frames.shape[1:], frames.dtype, len(frames), MappedSource(frames))
 

@@ -7,6 +7,7 @@ import os
 from pathlib import Path
 from typing import Any
 import zipfile
+import zlib
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,7 +18,8 @@ from track_before_detect.recordings.npz import check_layout
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors, reader_module
 from track_before_detect.recordings.recording import CACHE_BYTES, Recording
 
-_READ_ERRORS = (OSError, ValueError, KeyError, TypeError, RuntimeError, EOFError)
+_READ_ERRORS = (OSError, ValueError, KeyError, TypeError, RuntimeError, EOFError,
+                zipfile.BadZipFile, zlib.error)
 # Of one chunk: 32 frames of 256 x 256 float32.
 CHUNK_BYTES = 2**23
 _MARKS = ('zarr.json', '.zarray', '.zgroup')
