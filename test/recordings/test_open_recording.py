@@ -227,6 +227,18 @@ def test_nanoseconds_are_read_as_such_and_said(tmp_path):
         assert recording.remarks == ['stamps of a.npz are read as nanoseconds']
 
 
+def test_a_given_rate_takes_back_what_was_said_of_stamps_and_nothing_else():
+    for stamps, said in ((None, 0), (1e9 * (1.7e9 + np.arange(5)), 1), (np.arange(5), 1)):
+        recording = Recording('a', FRAMES.shape[1:], FRAMES.dtype, 5, None, stamps)
+        recording.remarks.append('3 images of a are left out')
+        recording.set_rate(10)
+        assert recording.remarks[said:] == ['3 images of a are left out']
+        assert all('10 frames/s as given' in remark for remark in recording.remarks[:said])
+        # A second rate takes the place of the first, or of none.
+        recording.set_rate(20)
+        assert [remark[:9] for remark in recording.remarks] == ['20 frames', '3 images ']
+
+
 def test_every_truncation_of_an_archive_is_refused(tmp_path):
     whole = tmp_path / 'whole.npz'
     np.savez_compressed(whole, frames=FRAMES, stamps=np.arange(5))

@@ -59,7 +59,8 @@ class Recording:
     Attributes
     ----------
     remarks : list of str
-        What was made of stamps that are no seconds, or of none, a sentence each.
+        What was made of stamps that are no seconds, or of none, and what else readers say of the
+        recording, a sentence each.
     stamps_known : bool
         Whether the stamps are not made up.
     """
@@ -78,7 +79,8 @@ class Recording:
         self.shape = (int(shape[0]), int(shape[1]))
         self.dtype = dtype
         self.stamps_known = stamps is not None
-        self.stamps, self.remarks = _checked_stamps(name, stamps, n_frames)
+        self.stamps, self._of_stamps = _checked_stamps(name, stamps, n_frames)
+        self.remarks = list(self._of_stamps)
         self.truth = None if truth is None else _checked_truth(name, truth)
         self.frame_id = frame_id
         self._source = source
@@ -91,8 +93,10 @@ class Recording:
         """Let the frames be 1/``fps`` seconds apart, whatever stamps came with them."""
         fps = checked_number('fps', fps, above=0)
         self.stamps = np.arange(len(self)) / fps
-        self.remarks = [f'{fps:g} frames/s as given, not the stamps of {self.name}'
-                        ] if self.stamps_known else []
+        others = [remark for remark in self.remarks if remark not in self._of_stamps]
+        self._of_stamps = [f'{fps:g} frames/s as given, not the stamps of {self.name}'
+                           ] if self.stamps_known else []
+        self.remarks = [*self._of_stamps, *others]
         self.stamps_known = True
 
     def __len__(self) -> int:
