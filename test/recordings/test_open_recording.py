@@ -1,4 +1,5 @@
 import io
+import logging
 import os
 from pathlib import Path
 import tempfile
@@ -15,6 +16,7 @@ from track_before_detect.errors import DataError
 from track_before_detect.recordings.images import natural_key
 from track_before_detect.recordings.npz import write_npz_recording
 from track_before_detect.recordings.open_recording import open_recording
+from track_before_detect.recordings.read_errors import gathered_warnings, reader_module
 from track_before_detect.recordings.recording import CACHE_BYTES, Recording
 
 RNG = np.random.default_rng(20)
@@ -257,6 +259,17 @@ def test_random_bytes_are_refused(content, suffix):
         path = Path(folder) / f'noise{suffix}'
         path.write_bytes(content)
         refuse(path, 'noise')
+
+
+def test_whoever_ends_first_takes_no_warning_from_those_who_gather_on():
+    reader_module('json', 'json', 'JSON')
+    one, other = gathered_warnings(), gathered_warnings()
+    heard = one.__enter__()
+    other.__enter__()
+    other.__exit__(None, None, None)
+    logging.getLogger('json').warning('an odd value')
+    one.__exit__(None, None, None)
+    assert heard == ['an odd value']
 
 
 def test_damaged_frame_is_refused(tmp_path):

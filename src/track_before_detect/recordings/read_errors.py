@@ -93,7 +93,9 @@ def gathered_warnings() -> Iterator[list[str]]:
     try:
         yield words
     finally:
-        _GATHERING.gatherers.remove(words)
+        # Not by value: what another thread gathers meanwhile may say the same, or nothing yet.
+        _GATHERING.gatherers[:] = [others for others in _GATHERING.gatherers
+                                   if others is not words]
 
 
 @contextmanager
