@@ -1,15 +1,20 @@
 """Many recordings, and one long one, on the workers of a cluster."""
 
+from concurrent.futures import ThreadPoolExecutor
 import json
 import os
 import shutil
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
 
 from track_before_detect.cli import main
+from track_before_detect.cli.spread.spans import changes_of
+from track_before_detect.recordings.recording import Recording
+from track_before_detect.results.saved import Opened
 from track_before_detect.simulation.sensor import add_target
 
 # Ends a process that opens a file named so: always, or unless another has ended before.
@@ -130,3 +135,44 @@ def test_a_scheduler_that_does_not_answer_is_named(recordings, tmp_path, capsys)
     assert main(['detect', str(recordings / '*.npz'), '--output', str(tmp_path / 'out'), *OPTIONS,
                  '--scheduler', 'nowhere://here']) == 2
     assert 'nowhere://here' in capsys.readouterr().err.splitlines()[-1]
+
+
+class ThreadsOfReads:
+    """Frames that know which threads have read them, and whether they were closed."""
+
+    def __init__(self):
+        self.threads, self.is_closed = set(), False
+
+    def read(self, index):
+        self.threads.add(threading.get_ident())
+        return np.full((4, 5), float(index))
+
+    def close(self):
+        self.is_closed = True
+
+
+def test_threads_of_a_worker_read_recordings_of_their_own(monkeypatch):
+    sources = []
+
+    def opened(_):
+        sources.append(ThreadsOfReads())
+        return Recording('a', (4, 5), np.float64, 9, sources[-1])
+
+    monkeypatch.setattr(Opened, 'open', opened)
+    both_run = threading.Barrier(2, timeout=60)
+
+    def search_parts(_):
+        for frames in ([0, 1, 2], [5, 4, 7]):
+            both_run.wait()
+            changes_of({'path': 'a', 'topic': None, 'fps': None, 'files': [[1, 2]],
+                        'frames': frames})
+        both_run.wait()
+        # The file is another one: that before is closed.
+        changes_of({'path': 'a', 'topic': None, 'fps': None, 'files': [[1, 3]], 'frames': [0, 1]})
+
+    with ThreadPoolExecutor(2) as threads:
+        list(threads.map(search_parts, range(2)))
+    assert len(sources) == 4
+    assert all(len(source.threads) == 1 for source in sources)
+    assert len({*sources[0].threads, *sources[1].threads}) == 2
+    assert [source.is_closed for source in sources] == [True, True, False, False]

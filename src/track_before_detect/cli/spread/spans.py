@@ -4,9 +4,9 @@ from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 import dataclasses
-from functools import lru_cache
 import logging
 from pathlib import Path
+import threading
 from typing import Any
 
 import numpy as np
@@ -35,6 +35,8 @@ from track_before_detect.types import Progress
 
 # Frames in which repeats are looked for at a time.
 _READ = 200
+# The recording that a thread has open, and by what it was told.
+_kept = threading.local()
 
 
 @contextmanager
@@ -112,11 +114,16 @@ def span_of(item: Item) -> dict[str, Any]:
 
 
 def _opened(item: Item) -> Recording:
-    return _kept_open(Opened(Path(item['path']), item['topic'], item['fps']),
-                      tuple(map(tuple, item['files'])))
+    """Return the recording of an item, kept while its files are the same: opening may decode it.
 
-
-@lru_cache(maxsize=1)
-def _kept_open(source: Opened, files: tuple[tuple[int, ...], ...]) -> Recording:
-    """Return a recording while its files are the same: some are decoded to be opened."""
-    return source.open()
+    Each thread has its own, because what reads frames is made for one reader.
+    """
+    source = Opened(Path(item['path']), item['topic'], item['fps'])
+    told = source, item['files']
+    if getattr(_kept, 'told', None) != told:
+        _kept.told = None
+        if hasattr(_kept, 'recording'):
+            _kept.recording.close()
+        _kept.recording = source.open()
+        _kept.told = told
+    return _kept.recording
