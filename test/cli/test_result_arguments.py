@@ -91,3 +91,41 @@ def test_no_result_takes_the_place_of_another_recording(stand_in, tmp_path, caps
     detect(*given)
     assert stand_in.options is not None
     assert (folder / 'rejected.csv').read_bytes() == b'given as an input'
+
+
+@pytest.fixture(params=['a.mp4', 'a.gif'])
+def too_wide(request, tmp_path):
+    """Return a film, and a recording whose frames are too wide for it."""
+    pytest.importorskip('PIL', reason='the extra [video] is missing')
+    if request.param == 'a.mp4':
+        pytest.importorskip('av', reason='the extra [video] is missing')
+    np.savez(tmp_path / 'wide.npz', fps=10,
+             frames=np.zeros((3, 1, 70000) if request.param == 'a.gif' else (3, 2, 17000)))
+    return request.param, tmp_path / 'wide.npz'
+
+
+def test_what_is_found_is_kept_and_printed_where_no_film_can_be_made_of_it(
+        too_wide, stand_in, tmp_path, capsys):
+    film, recording = too_wide
+    assert detect(recording, '--video', film, '--output', tmp_path / 'out') == 2
+    captured = capsys.readouterr()
+    assert sorted(os.listdir(tmp_path / 'out')) == ['summary.json', 'trajectories.csv']
+    assert len((tmp_path / 'out' / 'trajectories.csv').read_text().splitlines()) == 1 + 2 * 2
+    assert captured.out.count('12.35') == 2 and 'written: ' in captured.out
+    [error] = [line for line in captured.err.splitlines() if 'error' in line]
+    assert f'{film} cannot be written: ' in error and '000 x ' in error
+
+
+def test_of_several_recordings_that_without_its_film_is_said_to_have_failed(
+        too_wide, stand_in, tmp_path, capsys):
+    film, recording = too_wide
+    np.savez(tmp_path / 'b.npz', frames=np.zeros((6, 16, 20)))
+    assert detect(recording, tmp_path / 'b.npz', '--video', film, '--output',
+                  tmp_path / 'out') == 2
+    captured = capsys.readouterr()
+    assert [line.split(': ')[1].split(',')[0] for line in captured.out.splitlines()] == [
+        '2 trajectories'] * 2
+    [error] = [line for line in captured.err.splitlines() if 'error' in line]
+    assert f'{recording}: {film} cannot be written: ' in error
+    assert (tmp_path / 'out' / 'wide' / 'trajectories.csv').exists()
+    assert (tmp_path / 'out' / 'b' / film).exists()

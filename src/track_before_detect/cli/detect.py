@@ -164,12 +164,13 @@ def run(arguments: Namespace) -> int:
             from track_before_detect.cli.spread.spans import on_workers
             share = stack.enter_context(on_workers(
                 Opened(paths[0], arguments.topic, arguments.fps), arguments))
-        result, text, written, lines = _search(paths[0], Path(arguments.output), arguments, told,
-                                               wanted, share)
-    sys.stdout.writelines(lines)
-    print(text, file=words)
-    print(f'written: {", ".join(map(str, written))}', file=words)
-    return FOUND if result.trajectories else NOTHING_FOUND
+        said = _search(paths[0], Path(arguments.output), arguments, told, wanted, share)
+    sys.stdout.writelines(said.lines)
+    print(said.text, file=words)
+    print(f'written: {", ".join(map(str, said.written))}', file=words, flush=True)
+    if said.failed:
+        return fail('tbd', '; '.join(said.failed))
+    return FOUND if said.n_found else NOTHING_FOUND
 
 
 def outcome_of(path: Path, output: Path, arguments: Namespace, told: Mapping[str, Any],
@@ -177,26 +178,29 @@ def outcome_of(path: Path, output: Path, arguments: Namespace, told: Mapping[str
     """Search one of several recordings into a folder of its own, whatever becomes of it.
 
     Returns an ``error`` or the number of trajectories ``found``, with the names of the files
-    ``written`` and the ``lines`` of JSON that are asked for; JSON can hold it.
+    ``written`` and the ``lines`` of JSON that are asked for; both where a picture or film of what
+    was found cannot be made. JSON can hold it.
     """
     try:
-        result, _, written, lines = _search(path, output, arguments, told, wanted)
+        said = _search(path, output, arguments, told, wanted)
     except (TbdError, OSError, MemoryError) as error:
         return {'error': error_words(error)}
-    return {'found': len(result.trajectories), 'written': [file.name for file in written],
-            'lines': lines}
+    outcome = {'found': said.n_found, 'written': [file.name for file in said.written],
+               'lines': said.lines}
+    return {**outcome, 'error': '; '.join(said.failed)} if said.failed else outcome
 
 
 def said_of(path: Path, output: Path, outcome: Mapping[str, Any], words: TextIO) -> int:
     """Say what came of one of several recordings; return its exit code."""
+    count = outcome.get('found')
+    if count is not None:
+        found = 'no trajectory' if not count else '1 trajectory' if count == 1 else (
+            f'{count} trajectories')
+        sys.stdout.writelines(outcome['lines'])
+        print(f'{path}: {found}, written: {output}', flush=True, file=words)
     if 'error' in outcome:
         said = outcome['error']
         return fail('tbd', said if path.name in said else f'{path}: {said}')
-    count = outcome['found']
-    found = 'no trajectory' if not count else '1 trajectory' if count == 1 else (
-        f'{count} trajectories')
-    sys.stdout.writelines(outcome['lines'])
-    print(f'{path}: {found}, written: {output}', flush=True, file=words)
     return FOUND if count else NOTHING_FOUND
 
 
@@ -222,13 +226,33 @@ def _names(paths: Sequence[Path]) -> list[str]:
     return [str(path.relative_to(path.anchor)) for path in whole]
 
 
-def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, Any],
-            wanted: Wanted, share: Share | None = None,
-            ) -> tuple[DetectionResult, str, list[Path], list[str]]:
-    """Search one recording, alone or as ``share`` has it, and write the files.
+@dataclasses.dataclass(frozen=True)
+class _Said:
+    """What there is to say of a search.
 
-    Return what was found, also as text, the files, and the lines of JSON that are asked for.
+    Attributes
+    ----------
+    n_found : int
+        Trajectories.
+    text : str
+        What was found.
+    written : list of Path
+    failed : list of str
+        What is wrong with the files that could not be written.
+    lines : list of str
+        Of JSON, if asked for.
     """
+
+    n_found: int
+    text: str
+    written: list[Path]
+    failed: list[str]
+    lines: list[str]
+
+
+def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, Any],
+            wanted: Wanted, share: Share | None = None) -> _Said:
+    """Search one recording, alone or as ``share`` has it, and write the files."""
     started = time.perf_counter()
     source = Opened(path, arguments.topic, arguments.fps)
     with source.open() as recording:
@@ -237,14 +261,14 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
         summary = summary_of(found, time.perf_counter() - started, __version__, source)
         rejected = numbered(result) if arguments.explain else None
         with Progress.asked_for(arguments) as progress:
-            written = write_folder(output, found, summary, wanted, rejected, progress)
+            written, failed = write_folder(output, found, summary, wanted, rejected, progress)
         lines = list(json_lines(found)) if arguments.json else []
         words = [_table(result.trajectories, recording.stamps_known), *_closing_words(result)]
         if rejected is not None:
             words.append(_explanation(rejected, result))
         elif n_above(result) or (result.rejected and not result.trajectories):
             words.append(_hint(result))
-        return result, '\n'.join(words), written, lines
+        return _Said(len(result.trajectories), '\n'.join(words), written, failed, lines)
 
 
 def search(recording: Recording, arguments: Namespace, told: Mapping[str, Any],

@@ -48,7 +48,8 @@ completion in bash, now and later (needs the extra completion):
 exit codes:
   0  done and something found (or nothing to find)
   2  an input or option cannot be used; one sentence on stderr says why (of several inputs, the
-     others are searched all the same)
+     others are searched all the same; where a picture or film cannot be made of what was found,
+     the tables are written all the same)
   3  done and nothing found
   130  interrupted with Ctrl-C
   143  ended by the signal TERM

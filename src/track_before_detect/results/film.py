@@ -3,7 +3,9 @@
 from collections import deque
 from collections.abc import Iterator
 from fractions import Fraction
+from itertools import chain
 from pathlib import Path
+import struct
 from typing import Any
 
 import numpy as np
@@ -17,6 +19,7 @@ from track_before_detect.recordings.overlay import (
     real_picture,
     trail,
 )
+from track_before_detect.recordings.read_errors import read_errors
 from track_before_detect.recordings.recording import Recording
 from track_before_detect.timestamps import increasing_frames
 from track_before_detect.types import Progress, Trajectory
@@ -53,6 +56,11 @@ def write_film(path: Path, recording: Recording, trajectories: list[Trajectory],
     recording : Recording
     trajectories : list of Trajectory
     progress : callable, optional
+
+    Raises
+    ------
+    DataError
+        If there are too many pixels for the format.
     """
     steps = np.diff(recording.stamps[increasing_frames(recording.stamps)])
     interval = float(np.clip(np.median(steps) if len(steps) else 0, _FASTEST_S, _SLOWEST_S))
@@ -117,11 +125,14 @@ def _write_video(path: Path, pictures: Iterator[Any], interval: float) -> None:
         raise MissingExtraError(
             "writing videos needs PyAV: pip install 'track_before_detect[video]'") from error
     codec = 'libx264' if 'libx264' in av.codecs_available else 'mpeg4'
-    with av.open(str(path), 'w') as container:
+    first = next(pictures)
+    with (read_errors(f'{first.width} x {first.height} pixels cannot be encoded by {codec}',
+                      (av.error.FFmpegError,)),
+          av.open(str(path), 'w') as container):
         stream: Any = container.add_stream(
             codec, rate=Fraction(1 / interval).limit_denominator(1000))
         stream.pix_fmt = 'yuv420p'
-        for number, picture in enumerate(pictures):
+        for number, picture in enumerate(chain([first], pictures)):
             rows = np.asarray(picture)
             rows = np.pad(rows, [(0, length % 2) for length in rows.shape[:2]] + [(0, 0)])
             if not number:
@@ -138,8 +149,11 @@ def _write_gif(path: Path, pictures: Iterator[Any], interval: float) -> None:
     palette = Image.new('P', (1, 1))
     palette.putpalette(np.vstack([np.repeat(greys[:, None], 3, 1), COLOURS])
                        .astype(np.uint8).tobytes())
-    with open(path, 'wb') as file:
-        for number, picture in enumerate(pictures):
+    first = next(pictures)
+    with (read_errors(f'{first.width} x {first.height} pixels are too many for a GIF',
+                      (struct.error, OverflowError)),
+          open(path, 'wb') as file):
+        for number, picture in enumerate(chain([first], pictures)):
             reduced = picture.quantize(palette=palette, dither=Image.Dither.NONE)
             if not number:
                 file.writelines(GifImagePlugin.getheader(reduced, info={'loop': 0})[0])

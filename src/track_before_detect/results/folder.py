@@ -1,6 +1,6 @@
 """The folder of a result: all of its files, written aside and moved to their place together."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 import dataclasses
 from pathlib import Path
 from typing import Any
@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from track_before_detect.atomic_files import atomic_folder
+from track_before_detect.errors import TbdError
 from track_before_detect.recordings.overlay import write_overlay
 from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
 from track_before_detect.results.film import write_film
@@ -48,23 +49,45 @@ class Wanted:
 
 def write_folder(output: Path, found: Found, summary: dict[str, Any], wanted: Wanted,
                  rejected: Sequence[Trajectory] | None = None,
-                 progress: Progress | None = None) -> list[Path]:
-    """Write the files and return their paths; ``rejected`` goes to rejected.csv, if not None."""
+                 progress: Progress | None = None) -> tuple[list[Path], list[str]]:
+    """Write the files; ``rejected`` goes to rejected.csv, if not None.
+
+    Returns the paths of what is written, and a sentence for each picture or film that could not
+    be made, without which the tables are there all the same.
+    """
     recording, result = found.recording, found.result
     with atomic_folder(output) as aside:
         for one in wanted.formats:
             one.write(aside / one.file, found)
         if rejected is not None:
             write_trajectories_csv(aside / REJECTED, rejected, with_reason=True)
-        if wanted.overlay:
-            middle = len(recording) // 2
-            write_overlay(aside / OVERLAY, recording[middle], result.trajectories,
-                          recording.truth, f'{recording.name}, frame {middle}', middle)
-        if wanted.film is not None:
-            write_film(aside / wanted.film, recording, result.trajectories, progress)
         write_summary_json(aside / SUMMARY, summary)
+        failed = []
+        if wanted.overlay:
+            failed += _why_not_written(aside / OVERLAY, lambda path: _write_middle(path, found))
+        if wanted.film is not None:
+            failed += _why_not_written(aside / wanted.film, lambda path: write_film(
+                path, recording, result.trajectories, progress))
         names = sorted(file.name for file in aside.iterdir())
-    return [output / name for name in names]
+    return [output / name for name in names], failed
+
+
+def _write_middle(path: Path, found: Found) -> None:
+    """Draw what was found over the middle frame."""
+    recording = found.recording
+    middle = len(recording) // 2
+    write_overlay(path, recording[middle], found.result.trajectories, recording.truth,
+                  f'{recording.name}, frame {middle}', middle)
+
+
+def _why_not_written(path: Path, write: Callable[[Path], None]) -> list[str]:
+    """Write a file; return what is wrong where that fails, with nothing left of it."""
+    try:
+        write(path)
+    except (TbdError, OSError, MemoryError) as error:
+        path.unlink(missing_ok=True)
+        return [f'{path.name} cannot be written: {error or type(error).__name__}']
+    return []
 
 
 def summary_of(found: Found, seconds: float, version: str,
