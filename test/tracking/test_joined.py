@@ -1,5 +1,7 @@
 """Parts of successive batches become one trajectory for each target."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -70,3 +72,30 @@ def test_what_is_with_a_better_one_in_its_frames_is_no_other_target():
     assert [one.id for one in found] == [1]
     apart = joined(60, *better, part(2, 20, np.full(20, 6.0), 2.0, 12.0))
     assert [one.id for one in apart] == [1, 2]
+
+
+def test_what_is_left_out_takes_no_memory_for_frames_in_which_it_is_not():
+    n_frames, n_left_out = 20_000, 200
+    better = [part(1, first, np.full(20, 6.0)) for first in range(0, 8000, 20)]
+    worse = [part(2 + k, 40 * k, np.full(20, 6.0), 0.5, 12.0) for k in range(n_left_out)]
+    together = JoinedTrajectories(np.arange(n_frames) / 25, 1.0)
+    for first in range(0, n_frames, 20):
+        together.add(np.arange(first, first + 20),
+                     [one for one in [*better, *worse] if one.frame_indices[0] == first])
+    tracemalloc.start()
+    [one] = together.trajectories()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert one.id == 1 and len(one.positions) == n_frames
+    row = one.positions[0].nbytes + one.velocity[0].nbytes + one.covariance[0].nbytes
+    assert peak < 6 * row * n_frames
+
+
+def test_trajectories_have_rows_for_all_frames_wherever_they_are():
+    found = joined(80, part(1, 20, np.full(20, 6.0)), part(2, 50, np.full(20, 5.0), 9.0, 12.0))
+    for one, first in zip(found, (20, 50), strict=True):
+        assert one.frame_indices.tolist() == list(range(80))
+        assert [len(values) for values in (one.positions, one.amplitudes, one.velocity,
+                                           one.stamps, one.covariance)] == [80] * 5
+        assert rows(one).tolist() == list(range(first, first + 20))
+        assert one.positions[first, 0] == 0.5 * first

@@ -1,6 +1,6 @@
 """The trajectories of successive batches as one for each identity."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,20 +50,43 @@ class JoinedTrajectories:
         """Return one trajectory for each identity, NaN where it is absent, the best first."""
         joined = sorted((self._join(parts) for parts in self._parts.values()),
                         key=lambda trajectory: -trajectory.statistic)
-        kept: list[Trajectory] = []
-        for trajectory in joined:
-            if not any(self._is_part_of(trajectory, better) for better in kept):
-                kept.append(trajectory)
-        return kept
+        first, last = np.array([one.frame_indices[[0, -1]] for one in joined],
+                               np.int64).reshape(-1, 2).T
+        is_kept = np.zeros(len(joined), bool)
+        for number, one in enumerate(joined):
+            # Few share frames with it in a long recording.
+            beside = is_kept & (first <= last[number]) & (first[number] <= last)
+            is_kept[number] = not any(self._is_part_of(one, joined[better])
+                                      for better in np.flatnonzero(beside))
+        all_frames = np.arange(len(self._stamps))
+        return [self._over(all_frames, joined[number]) for number in np.flatnonzero(is_kept)]
 
     def _is_part_of(self, one: Trajectory, other: Trajectory) -> bool:
         """Return whether a trajectory is with another one in most of its frames."""
-        distance = np.hypot(*(one.positions - other.positions).T)
+        starts = [trajectory.frame_indices[0] for trajectory in (one, other)]
+        ends = [1 + trajectory.frame_indices[-1] for trajectory in (one, other)]
+        here, there = (trajectory.positions[max(starts) - start:min(ends) - start]
+                       for trajectory, start in zip((one, other), starts, strict=True))
+        distance = np.hypot(*(here - there).T)
         n_near = np.count_nonzero(distance < self._width_px)
         return bool(n_near > 0.5 * np.count_nonzero(np.isfinite(one.positions[:, 0])))
 
+    def _over(self, all_frames: NDArray[np.int64], one: Trajectory) -> Trajectory:
+        """Return a trajectory with rows for all frames."""
+        def spread(values: NDArray) -> NDArray:
+            rows = np.full((len(all_frames), *values.shape[1:]), np.nan, values.dtype)
+            rows[one.frame_indices] = values
+            return rows
+
+        return replace(one, positions=spread(one.positions), amplitudes=spread(one.amplitudes),
+                       velocity=spread(one.velocity), covariance=spread(one.covariance),
+                       stamps=self._stamps, frame_indices=all_frames)
+
     def _join(self, parts: list[_Part]) -> Trajectory:
-        n_frames = len(self._stamps)
+        """Return a trajectory with rows from the first to the last frame of its parts."""
+        start = min(part.trajectory.frame_indices.min() for part in parts)
+        end = 1 + max(part.trajectory.frame_indices.max() for part in parts)
+        n_frames = end - start
         depth = np.full(n_frames, -1)
         positions = np.full((n_frames, 2), np.nan)
         velocity = np.full((n_frames, 2), np.nan)
@@ -74,21 +97,21 @@ class JoinedTrajectories:
                              np.result_type(*[one.amplitudes for one in trajectories]))
         there = [np.ones(len(one.frame_indices), bool) for one in trajectories]
         last = len(parts) - 1
-        for end, beside, towards in ((0, min(1, last), -1), (last, max(last - 1, 0), 1)):
-            there[end] &= self._there(parts[end], trajectories[beside], towards)
+        for at, beside, towards in ((0, min(1, last), -1), (last, max(last - 1, 0), 1)):
+            there[at] &= self._there(parts[at], trajectories[beside], towards)
         for one, seen in zip(trajectories, there, strict=True):
             own = np.arange(len(one.frame_indices))
             inside = np.minimum(own, own[::-1])
-            better = inside > depth[one.frame_indices]
-            rows = one.frame_indices[better]
+            better = inside > depth[one.frame_indices - start]
+            rows = one.frame_indices[better] - start
             depth[rows] = inside[better]
             positions[rows] = np.where(seen[:, None], one.positions, np.nan)[better]
             velocity[rows] = np.where(seen[:, None], one.velocity, np.nan)[better]
             amplitudes[rows] = np.where(seen, one.amplitudes, np.nan)[better]
             covariance[rows] = np.where(seen[:, None, None], one.covariance, np.nan)[better]
         best = max(trajectories, key=lambda part: part.statistic)
-        return Trajectory(best.id, positions, amplitudes, velocity, self._stamps,
-                          np.arange(n_frames), best.statistic,
+        return Trajectory(best.id, positions, amplitudes, velocity, self._stamps[start:end],
+                          np.arange(start, end), best.statistic,
                           float(np.mean([part.snr for part in trajectories])),
                           covariance=covariance)
 
