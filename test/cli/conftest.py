@@ -31,7 +31,7 @@ def stand_in(monkeypatch):
     """Replace the detector by one that reports what it was given; return the calls."""
     calls = types.SimpleNamespace(options=None, trajectories=2, error=None, rejected=())
 
-    def detect_recording(recording, options, progress=None, reasons=()):
+    def detect_recording(recording, options, progress=None, reasons=(), over_all_frames=True):
         calls.options = options
         progress('calibrating', 0.0)
         progress('calibrating', 1.0)

@@ -99,3 +99,18 @@ def test_trajectories_have_rows_for_all_frames_wherever_they_are():
                                            one.stamps, one.covariance)] == [80] * 5
         assert rows(one).tolist() == list(range(first, first + 20))
         assert one.positions[first, 0] == 0.5 * first
+
+
+def test_memory_of_trajectories_over_their_own_frames_grows_with_the_recording_alone():
+    peaks = []
+    for n_frames in (4000, 16_000):
+        together = JoinedTrajectories(np.arange(n_frames) / 25, 1.0)
+        for first in range(0, n_frames, 20):
+            together.add(np.arange(first, first + 20), [part(first, first, np.full(20, 6.0))])
+        tracemalloc.start()
+        found = together.trajectories(over_all_frames=False)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+        assert len(found) == n_frames // 20
+        assert {len(one.positions) for one in found} == {20}
+    assert peaks[1] < 5 * peaks[0]

@@ -51,6 +51,20 @@ def test_one_target_is_one_trajectory_over_all_frames(options):
     assert trajectory.statistic > result.threshold
 
 
+def test_rows_over_the_frames_of_its_batches_alone_are_the_same_trajectory():
+    frames, _ = moving_target(50)
+    noise = np.random.default_rng(2).standard_normal(frames.shape)
+    frames[:20], frames[40:] = noise[:20], noise[40:]
+    recording = _Recording(frames, np.arange(50.0))
+    options = DetectorOptions(**OPTIONS, batch_length=10, hop=10)
+    [whole] = detect_recording(recording, options).trajectories
+    [short] = detect_recording(recording, options, over_all_frames=False).trajectories
+    assert short.frame_indices.tolist() == list(range(20, 40))
+    for name in ('positions', 'amplitudes', 'velocity', 'stamps', 'covariance'):
+        np.testing.assert_array_equal(getattr(short, name), getattr(whole, name)[20:40])
+    assert np.isnan(np.delete(whole.positions, np.s_[20:40], axis=0)).all()
+
+
 def test_frames_without_the_target_are_nan():
     frames, truth = moving_target(30)
     frames[20:] = np.random.default_rng(2).standard_normal((10, *frames.shape[1:]))

@@ -284,7 +284,7 @@ def search(recording: Recording, arguments: Namespace, told: Mapping[str, Any],
             # In a thread of its own, which an interrupt does not wait for.
             [result] = map_in_threads(
                 lambda frames: detect_recording(frames, options, progress, reasons=reasons,
-                                                **observe),
+                                                over_all_frames=False, **observe),
                 [recording], progress.show_time)
         except DataError as error:
             raise DataError(f'{recording.name} cannot be searched: {error}') from error

@@ -18,7 +18,7 @@ class _Part:
 
 
 class JoinedTrajectories:
-    """Trajectories over all frames, each frame from the batch that holds it deepest inside.
+    """Trajectories over batches, each frame from the batch that holds it deepest inside.
 
     A target that is followed through the whole of a batch may have entered or left during it. What
     tells is the batch before, or after, which shares frames with that one and has not found it: it
@@ -46,8 +46,13 @@ class JoinedTrajectories:
                 _Part(len(self._batches), trajectory))
         self._batches.append(frame_indices)
 
-    def trajectories(self) -> list[Trajectory]:
-        """Return one trajectory for each identity, NaN where it is absent, the best first."""
+    def trajectories(self, over_all_frames: bool = True) -> list[Trajectory]:
+        """Return one trajectory for each identity, NaN where it is absent, the best first.
+
+        Their rows are for all frames, or from the first to the last frame of the batches that
+        found it: all frames of many trajectories take memory that grows with the square of the
+        length of a recording.
+        """
         joined = sorted((self._join(parts) for parts in self._parts.values()),
                         key=lambda trajectory: -trajectory.statistic)
         first, last = np.array([one.frame_indices[[0, -1]] for one in joined],
@@ -58,8 +63,11 @@ class JoinedTrajectories:
             beside = is_kept & (first <= last[number]) & (first[number] <= last)
             is_kept[number] = not any(self._is_part_of(one, joined[better])
                                       for better in np.flatnonzero(beside))
+        kept = [joined[number] for number in np.flatnonzero(is_kept)]
+        if not over_all_frames:
+            return kept
         all_frames = np.arange(len(self._stamps))
-        return [self._over(all_frames, joined[number]) for number in np.flatnonzero(is_kept)]
+        return [self._over(all_frames, one) for one in kept]
 
     def _is_part_of(self, one: Trajectory, other: Trajectory) -> bool:
         """Return whether a trajectory is with another one in most of its frames."""

@@ -157,7 +157,8 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
                      pipeline: BatchPipeline | None = None,
                      observe: Observer | None = None,
                      reasons: Sequence[str] = (),
-                     shared: SharedSearch | None = None) -> DetectionResult:
+                     shared: SharedSearch | None = None,
+                     over_all_frames: bool = True) -> DetectionResult:
     """Find all trajectories of a recording.
 
     Parameters
@@ -176,12 +177,16 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
         Why the options are these, the first remarks of the result.
     shared : SharedSearch, optional
         Searches the batches in place of this process, those of a single sensor.
+    over_all_frames : bool
+        Whether a trajectory has rows for all frames of the recording, or from the first to the
+        last frame of the batches that found it: much less memory where many are found in a long
+        one.
 
     Returns
     -------
     DetectionResult
-        One trajectory for each identity, its rows over all frames of the recording, NaN where
-        it is absent; the threshold is the largest of any batch.
+        One trajectory for each identity, its rows over all frames of the recording unless told
+        otherwise, NaN where it is absent; the threshold is the largest of any batch.
     """
     n_frames = len(recording)
     length, hop = length_and_hop(n_frames, options)
@@ -221,7 +226,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     for frame_indices, result in searched:
         joined.add(frame_indices, result.trajectories)
     return DetectionResult(
-        joined.trajectories(), max(result.threshold for result in results),
+        joined.trajectories(over_all_frames), max(result.threshold for result in results),
         worst_status(result.status for result in results),
         [step for result in results for step in result.history],
         float(np.fmax.reduce([result.gap for result in results])),
