@@ -75,9 +75,10 @@ def test_written_recording_reads_back(intervals, truth):
 
 
 def test_stamps_come_from_stamps_then_fps_then_one_second(tmp_path):
-    cases = {'stamps': {'stamps': [5, 7, 8, 9, 11], 'fps': 25}, 'fps': {'fps': 25.0}, 'none': {}}
+    cases = {'stamps': {'stamps': [5, 7, 8, 9, 11], 'fps': 25}, 'fps': {'fps': 25.0},
+             'slow': {'fps': 2.0**-14}, 'none': {}}
     expected = {'stamps': [5, 7, 8, 9, 11], 'fps': [0, .04, .08, .12, .16],
-                'none': [0, 1, 2, 3, 4]}
+                'slow': 2**14 * np.arange(5), 'none': [0, 1, 2, 3, 4]}
     for name, arrays in cases.items():
         path = tmp_path / f'{name}.npz'
         np.savez(path, frames=FRAMES, **arrays)

@@ -143,10 +143,12 @@ def test_slices_or_channels_alone_are_frames_and_said(tmp_path, axes):
 @pytest.mark.parametrize(('name', 'metadata', 'interval'), [
     ('a.tif', {'finterval': 0.05}, 0.05),
     ('a.tif', {'finterval': 50, 'tunit': 'ms'}, 0.05),
+    ('a.tif', {'finterval': 5, 'tunit': 'h'}, 18000.0),
     ('a.tif', {'finterval': 0.0}, None),
     ('a.tif', {'finterval': 3, 'tunit': 'moons'}, None),
     ('a.ome.tif', {'TimeIncrement': 0.05}, 0.05),
     ('a.ome.tif', {'TimeIncrement': 50, 'TimeIncrementUnit': 'ms'}, 0.05),
+    ('a.ome.tif', {'TimeIncrement': 300, 'TimeIncrementUnit': 'min'}, 18000.0),
     ('a.ome.tif', {}, None)])
 def test_frame_interval_of_the_file_is_used(tmp_path, name, metadata, interval):
     tifffile = pytest.importorskip('tifffile')
@@ -295,13 +297,15 @@ def test_files_are_in_the_order_of_their_stamps(tmp_path):
 @pytest.mark.parametrize(('headers', 'expected'), [
     ([{'DATE-OBS': '2026-03-01', 'TIME-OBS': f'10:00:{k:02d}'} for k in range(12)], 1.0),
     ([{'MJD-OBS': 61000 + k / 86400} for k in range(12)], 1.0),
+    ([{'DATE-OBS': f'2026-03-{k + 1:02d}T22:00:00'} for k in range(12)], 86400.0),
     ([{'DATE-OBS': '2026-03-01'}] * 12, None),
     ([{'DATE-OBS': '01/03/98'}] * 12, None),
     ([{'DATE-OBS': date(0)}] + [{}] * 11, None)])
 def test_headers_that_tell_the_time_in_other_ways(tmp_path, headers, expected):
     write_series(tmp_path, headers)
-    frames, stamps, _ = read(tmp_path)
+    frames, stamps, remarks = read(tmp_path)
     np.testing.assert_array_equal(frames, FRAMES)
+    assert not remarks
     if expected is None:
         assert stamps is None
     else:

@@ -92,7 +92,8 @@ def _recording(path: Path, archive: zipfile.ZipFile, names: set[str],
         with np.errstate(over='ignore'):
             stamps = np.arange(n_frames) / float(fps.item())
     truth = _whole_array(path, archive, 'truth') if 'truth' in names else None
-    return Recording(path.name, (height, width), source.dtype, n_frames, source, stamps, truth)
+    return Recording(path.name, (height, width), source.dtype, n_frames, source, stamps, truth,
+                     unit_known='stamps' not in names)
 
 
 def _whole_array(path: Path, archive: zipfile.ZipFile, name: str,

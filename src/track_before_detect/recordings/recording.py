@@ -49,12 +49,14 @@ class Recording:
     source : FrameSource
         Reads one frame.
     stamps : array, shape (T,), or None
-        In seconds, or in a smaller unit that is told by their size; kept as they are where they
-        do not increase. None makes them up as 1 s apart, and says so.
+        In seconds; kept as they are where they do not increase. None makes them up as 1 s apart,
+        and says so.
     truth : array, shape (N, 4), or None
         Rows [frame, id, x, y].
     frame_id : str
         Coordinate frame of the sensor.
+    unit_known : bool
+        Whether the stamps are in seconds; otherwise their size tells their unit.
 
     Attributes
     ----------
@@ -67,7 +69,8 @@ class Recording:
 
     def __init__(self, name: str, shape: tuple[int, int], dtype: np.dtype, n_frames: int,
                  source: FrameSource, stamps: ArrayLike | None = None,
-                 truth: ArrayLike | None = None, frame_id: str = '') -> None:
+                 truth: ArrayLike | None = None, frame_id: str = '',
+                 unit_known: bool = True) -> None:
         if n_frames < 1:
             raise DataError(f'{name} holds no frames')
         if min(shape) < 1:
@@ -79,7 +82,8 @@ class Recording:
         self.shape = (int(shape[0]), int(shape[1]))
         self.dtype = dtype
         self.stamps_known = stamps is not None
-        self.stamps, self._of_stamps = _checked_stamps(name, stamps, n_frames)
+        self.stamps, self._of_stamps = _checked_stamps(
+            name, stamps, n_frames, unit_known)
         self.remarks = list(self._of_stamps)
         self.truth = None if truth is None else _checked_truth(name, truth)
         self.frame_id = frame_id
@@ -161,8 +165,8 @@ def check_like(name: str, frame: NDArray, shape: tuple[int, ...], dtype: np.dtyp
             f'{" x ".join(map(str, frame.shape))} of {frame.dtype}')
 
 
-def _checked_stamps(name: str, stamps: ArrayLike | None,
-                    n_frames: int) -> tuple[NDArray[np.float64], list[str]]:
+def _checked_stamps(name: str, stamps: ArrayLike | None, n_frames: int,
+                    unit_known: bool) -> tuple[NDArray[np.float64], list[str]]:
     """Return stamps in seconds, made up when there are none, and what was made of them."""
     if stamps is None:
         return np.arange(n_frames, dtype=np.float64), [
@@ -175,7 +179,7 @@ def _checked_stamps(name: str, stamps: ArrayLike | None,
         raise DataError(
             f'{name} must have one stamp per frame ({n_frames}), got an array of shape '
             f'{stamps.shape}')
-    seconds, unit = in_seconds(stamps)
+    seconds, unit = (stamps.astype(np.float64), 'seconds') if unit_known else in_seconds(stamps)
     if not np.isfinite(seconds).any():
         raise DataError(f'stamps of {name} must be finite, got {seconds[0]} at frame 0')
     return seconds, [] if unit == 'seconds' else [f'stamps of {name} are read as {unit}']

@@ -51,7 +51,8 @@ def open_zarr(path: Path) -> Recording:
             stamps, truth = (np.asarray(parts[name][...]) if name in parts else None
                              for name in ('stamps', 'truth'))
             return Recording(path.name, frames.shape[1:], frames.dtype, frames.shape[0],
-                             _ZarrSource(path, store, frames), stamps, truth)
+                             _ZarrSource(path, store, frames), stamps, truth,
+                             unit_known='stamps' not in parts)
 
 
 def write_zarr_recording(path: str | os.PathLike, frames: Iterable[NDArray], stamps: ArrayLike,
