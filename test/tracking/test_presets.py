@@ -11,6 +11,7 @@ from track_before_detect.errors import ParameterError
 from track_before_detect.options import DetectorOptions
 from track_before_detect.tracking.presets import (
     AUTO,
+    choose_for,
     choose_for_sensors,
     choose_options,
     NONE,
@@ -96,6 +97,21 @@ def test_blank_frames_are_no_error(value, shape):
     assert reasons
 
 
+@pytest.mark.parametrize('n_blank', [5, 20, 60])
+def test_a_recording_that_begins_without_data_is_chosen_for_by_what_follows(n_blank):
+    frames = np.concatenate([np.full((n_blank, 64, 80), np.nan), scene(jitter=1.0)])
+    assert choose_for(frames, AUTO, {}) == choose_options(AUTO, {}, frames[n_blank:])
+
+
+def test_frames_without_data_are_not_said_to_be_noise():
+    blank = np.full((30, 8, 8), np.nan)
+    options, [reason] = choose_for(blank, AUTO, {})
+    assert options == DetectorOptions() and 'no pixel' in reason and 'noise' not in reason
+    options, reasons = choose_for_sensors({}, {'left': blank, 'right': blank})
+    assert options == DetectorOptions()
+    assert reasons == [f'sensor {name} has sent no finite pixel yet' for name in ('left', 'right')]
+
+
 def test_masked_pixels_do_not_matter():
     frames = unit_noise(4)
     frames[:, :5] = np.nan
@@ -170,7 +186,8 @@ def test_a_scene_of_one_of_several_sensors_is_taken_off_where_all_can_honour_it(
     check_options(options, several_sensors=True)
     assert (options.background, options.noise, options.batch_length) == (
         'temporal_median', 'robust', 30)
-    assert reasons[0] == 'sensor c has sent nothing yet' and 'frames of b show' in reasons[1]
+    assert reasons[0] == 'sensor c has sent no finite pixel yet'
+    assert 'frames of b show' in reasons[1]
     options, reasons = choose_for_sensors({'noise': 'map'}, {**still, 'd': scene(jitter=1.0)})
     check_options(options, several_sensors=True)
     assert (options.background, options.noise) == ('spatial_median', 'map')

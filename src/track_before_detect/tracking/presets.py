@@ -6,6 +6,7 @@ What the user tells always wins, option by option.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import islice
 from typing import Any, NamedTuple, TYPE_CHECKING
 
 import numpy as np
@@ -28,8 +29,9 @@ if TYPE_CHECKING:
     from track_before_detect.tracking.recording import FrameSequence
 
 AUTO, NONE = 'auto', 'none'
-# Frames that are looked at.
+# Frames that are looked at, and those among which they are looked for: some sensors begin blank.
 FRAMES_SEEN = 20
+_FRAMES_READ = 1000
 # Of each of several sensors in a batch, and those that are looked at.
 FRAMES_OF_SENSOR = 10
 # What the picture of one of several sensors may move within these.
@@ -125,11 +127,18 @@ _WITHOUT_CLUTTER = {'calibration': 'noise', 'noise': 'robust', 'background': 'te
 
 def choose_for(recording: FrameSequence, preset: str, told: Mapping[str, Any]) -> Choice:
     """Return the options of a preset for a recording; see :func:`choose_options`."""
-    n_seen = min(FRAMES_SEEN, len(recording)) if preset == AUTO else 0
-    seen = np.stack([recording[i] for i in range(n_seen)]) if n_seen else np.empty((0, 0, 0))
+    seen = _first_with_data(recording) if preset == AUTO else np.empty((0, 0, 0))
     choice = choose_options(preset, told, seen)
     check_options(choice.options)
     return choice
+
+
+def _first_with_data(recording: FrameSequence) -> NDArray:
+    """Return the first frames (T, H, W) with a finite pixel; the very first if there are none."""
+    frames = (np.asarray(recording[index])
+              for index in range(min(_FRAMES_READ, len(recording))))
+    seen = list(islice((frame for frame in frames if np.isfinite(frame).any()), FRAMES_SEEN))
+    return np.stack(seen or [recording[0]])
 
 
 def choose_for_sensors(told: Mapping[str, Any], seen: Mapping[str, NDArray]) -> Choice:
@@ -142,17 +151,18 @@ def choose_for_sensors(told: Mapping[str, Any], seen: Mapping[str, NDArray]) -> 
     seen : mapping from str to array, shape (T, H, W)
         Frames of each sensor by its name, in units of the noise that was told of it.
     """
-    looks = {name: _looked_at(frames) for name, frames in seen.items() if len(frames)}
+    looks = {name: _looked_at(frames) for name, frames in seen.items()
+             if np.isfinite(frames).any()}
     chosen: dict[str, Any] = {}
-    reasons = [f'sensor {name} has sent nothing yet' for name in seen if name not in looks]
+    reasons = [f'sensor {name} has sent no finite pixel yet' for name in seen if name not in looks]
     scenes = [name for name, look in looks.items() if look.is_scene]
     if any(look.is_complex for look in looks.values()):
         chosen = {'amplitudes': 'complex', 'noise': 'robust'}
         reasons.append('frames of complex numbers')
-    elif not scenes:
+    elif not scenes and looks:
         reasons.append('the frames of all sensors are white noise of the deviation told, 1 unless '
                        'told: taken as they are')
-    else:
+    elif scenes:
         chosen = {**_WITHOUT_CLUTTER, 'batch_length': FRAMES_OF_SENSOR * max(2, len(seen)),
                   'psf_sigma_px': _SCENE['psf_sigma_px']}
         del chosen['hop']
@@ -217,6 +227,9 @@ def _chosen(frames: NDArray) -> tuple[Mapping[str, Any], list[str]]:
     look = _looked_at(frames)
     if look.is_complex:
         return {'amplitudes': 'complex', 'noise': 'robust'}, ['frames of complex numbers']
+    if not np.isfinite(frames).any():
+        return {}, ['no pixel of the first frames is finite, so that they tell nothing and are '
+                    'taken as they are: tell what they show by the name of a preset']
     if not look.is_scene:
         return {}, ['the frames are white noise of deviation 1: taken as they are']
     words = ['the frames show a scene: it is taken off by medians over time and over space, '
