@@ -45,6 +45,18 @@ def test_an_array_alone_has_no_stamps(tmp_path):
         assert recording.stamps[3] == pytest.approx(0.3)
 
 
+def test_frames_of_a_rate_are_as_far_apart(tmp_path):
+    group = zarr.create_group(str(tmp_path / 'a.zarr'))
+    group.create_array('frames', data=FRAMES)
+    group.create_array('fps', data=np.array(25.0))
+    with open_recording(tmp_path / 'a.zarr') as recording:
+        assert recording.stamps_known
+        np.testing.assert_allclose(recording.stamps, STAMPS)
+    group.create_array('fps', data=np.array([-1.0]), overwrite=True)
+    with pytest.raises(DataError, match="'fps' of .* must be one positive number"):
+        open_recording(tmp_path / 'a.zarr')
+
+
 def test_what_is_no_recording_is_refused(tmp_path):
     zarr.create_group(str(tmp_path / 'empty.zarr'))
     zarr.save_array(str(tmp_path / 'flat.zarr'), FRAMES[0])

@@ -86,14 +86,18 @@ def _recording(path: Path, archive: zipfile.ZipFile, names: set[str],
     if 'stamps' in names:
         stamps = _whole_array(path, archive, 'stamps')
     elif 'fps' in names:
-        fps = _whole_array(path, archive, 'fps')
-        if fps.size != 1 or fps.dtype.kind not in 'iuf' or not 0 < float(fps.item()) < np.inf:
-            raise DataError(f"'fps' of {path} must be one positive number, got {fps!r}")
-        with np.errstate(over='ignore'):
-            stamps = np.arange(n_frames) / float(fps.item())
+        stamps = stamps_of_rate(path, _whole_array(path, archive, 'fps'), n_frames)
     truth = _whole_array(path, archive, 'truth') if 'truth' in names else None
     return Recording(path.name, (height, width), source.dtype, n_frames, source, stamps, truth,
                      unit_known='stamps' not in names)
+
+
+def stamps_of_rate(path: Path, fps: NDArray, n_frames: int) -> NDArray[np.float64]:
+    """Return stamps that are 1/``fps`` seconds apart; refuse what is not one positive number."""
+    if fps.size != 1 or fps.dtype.kind not in 'iuf' or not 0 < float(fps.item()) < np.inf:
+        raise DataError(f"'fps' of {path} must be one positive number, got {fps!r}")
+    with np.errstate(over='ignore'):
+        return np.arange(n_frames) / float(fps.item())
 
 
 def _whole_array(path: Path, archive: zipfile.ZipFile, name: str,

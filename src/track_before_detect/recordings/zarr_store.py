@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from track_before_detect.atomic_files import atomic_path
 from track_before_detect.errors import DataError, ParameterError
-from track_before_detect.recordings.npz import check_layout
+from track_before_detect.recordings.npz import check_layout, stamps_of_rate
 from track_before_detect.recordings.read_errors import closed_on_error, read_errors, reader_module
 from track_before_detect.recordings.recording import CACHE_BYTES, Recording
 
@@ -33,7 +33,7 @@ def is_zarr(path: Path) -> bool:
 
 
 def open_zarr(path: Path) -> Recording:
-    """Open an array (T, H, W), or a group of ``frames`` and optional ``stamps``, ``truth``."""
+    """Open an array (T, H, W), or a group of ``frames`` and what else a ``.npz`` may hold."""
     zarr = reader_module('zarr', 'zarr', 'Zarr', 'zarr')
     if path.is_file() and not zipfile.is_zipfile(path):
         raise DataError(f'{path} is no complete Zarr: it is no zip file')
@@ -48,8 +48,10 @@ def open_zarr(path: Path) -> Recording:
                 raise DataError(f"{path} must hold an array 'frames' (T, H, W), found {found}")
             frames = parts['frames']
             check_layout(f"array 'frames' of {path}", frames.shape, frames.dtype)
-            stamps, truth = (np.asarray(parts[name][...]) if name in parts else None
-                             for name in ('stamps', 'truth'))
+            stamps, truth, fps = (np.asarray(parts[name][...]) if name in parts else None
+                                  for name in ('stamps', 'truth', 'fps'))
+            if stamps is None and fps is not None:
+                stamps = stamps_of_rate(path, fps, frames.shape[0])
             return Recording(path.name, frames.shape[1:], frames.dtype, frames.shape[0],
                              _ZarrSource(path, store, frames), stamps, truth,
                              unit_known='stamps' not in parts)
