@@ -15,7 +15,8 @@ from track_before_detect import __version__
 from track_before_detect.cli import main
 
 WITHOUT_ROS = """
-import sys, importlib.util
+import os, sys, importlib.util
+os.cpu_count = lambda cores={cores} or os.cpu_count(): cores
 for name in {blocked}:
     sys.modules[name] = None
 find_spec = importlib.util.find_spec
@@ -25,10 +26,10 @@ sys.exit(main(['doctor', *sys.argv[1:]]))
 """
 
 
-def doctor(*arguments, blocked=(), **environment):
-    """Return the exit code and what is printed where there is no ROS."""
+def doctor(*arguments, blocked=(), cores=None, **environment):
+    """Return the exit code and what is printed where there is no ROS, on so many cores."""
     done = subprocess.run(
-        [sys.executable, '-c', WITHOUT_ROS.format(blocked=blocked), *arguments],
+        [sys.executable, '-c', WITHOUT_ROS.format(blocked=blocked, cores=cores), *arguments],
         capture_output=True, text=True, env={**os.environ, **environment}, timeout=120)
     return done.returncode, done.stdout
 
@@ -52,8 +53,9 @@ def test_versions_cores_caches_and_extras_are_told(tmp_path):
 
 
 def test_the_text_says_the_same_and_ends_with_the_verdict():
-    code, printed = doctor()
+    code, printed = doctor(cores=1)
     assert code == 0
+    assert '  cores: 1\n' in printed and '  loops can be written: yes\n' in printed
     assert f'  track_before_detect: {__version__}\n' in printed
     assert printed.splitlines()[-1] == 'nothing that is needed is broken'
 

@@ -70,7 +70,9 @@ def run(arguments: Namespace) -> int:
 def _words(value: Any) -> str:
     if isinstance(value, Mapping):
         return ', '.join(f'{name} {version or "missing"}' for name, version in value.items())
-    return {True: 'yes', False: 'no', None: 'none'}.get(value, str(value))
+    if isinstance(value, bool):
+        return 'yes' if value else 'no'
+    return 'none' if value is None else str(value)
 
 
 def _version(package: str) -> str | None:
