@@ -27,6 +27,15 @@ def test_a_few_changed_blocks_are_still_a_repeat():
     assert told(frames)[0] == [k == 10 for k in range(20)]
 
 
+def test_frames_are_compared_with_the_one_before_though_it_was_a_repeat():
+    frames = np.random.default_rng(2).integers(0, 9, (32, 40, 40)).astype(np.uint8)
+    frames[20:] = frames[19]
+    for k, frame in enumerate(frames[20:], 1):
+        # One row of forty differs from the frame before, k from the last one that was new.
+        frame[:k] += 1
+    assert told(frames)[0] == [k >= 20 for k in range(32)]
+
+
 def test_a_picture_without_noise_repeats_nothing():
     still = np.zeros((10, 16, 16))
     still[:, 8, 8] = 20.0

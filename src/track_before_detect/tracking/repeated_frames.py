@@ -30,7 +30,7 @@ class RepeatedFrames:
         self._changes: deque[float] = deque(maxlen=REMEMBERED)
 
     def repeats(self, frame: NDArray) -> bool:
-        """Return whether a frame (H, W) repeats the last one that did not."""
+        """Return whether a frame (H, W) repeats the one before, itself a repeat or not."""
         last, self._last = self._last, frame
         return last is not None and last.shape == frame.shape and self.is_one(change(last, frame))
 
