@@ -101,8 +101,10 @@ def npz(path, n_frames=6, **arrays):
 
 def test_made_up_stamps_are_said_and_speeds_are_per_frame(stand_in, tmp_path, capsys):
     path = npz(tmp_path / 'a.npz')
-    assert run('detect', path, '--output', tmp_path / 'out', '--no-overlay') == 0
-    assert 'speed [px/frame]' in capsys.readouterr().out
+    stand_in.rejected = [(8.5 * 2, 'edge-like')]
+    assert run('detect', path, '--explain', '--output', tmp_path / 'out', '--no-overlay') == 0
+    printed = capsys.readouterr().out
+    assert printed.count('speed [px/frame]') == 2 and 'px/s' not in printed
     with open_recording(path) as recording:
         [remark] = recording.remarks
     assert 'a.npz has no stamps: 1 frame is taken as 1 s' in remark
@@ -418,7 +420,10 @@ def test_what_remains_below_the_threshold_is_told(tmp_path, capsys):
     assert 4 < best < 9
     printed = capsys.readouterr().out
     assert f'the best path has a statistic of {best:.2f}, the threshold is 9.00' in printed
-    assert 'false_alarm_rate' in printed and 'status' not in printed
+    assert 'false_alarm_rate' not in printed and 'status' not in printed
+    assert run('detect', tmp_path / 'a.npz', '--no-overlay', '--output', tmp_path / 'out',
+               '--preset', 'none') == 3
+    assert 'a larger false_alarm_rate lowers it' in capsys.readouterr().out
 
 
 def test_frames_that_are_no_noise_end_with_what_to_set(tmp_path, capsys):

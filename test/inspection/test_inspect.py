@@ -70,6 +70,8 @@ def test_the_page_holds_everything_and_loads_nothing(tmp_path, capsys):
     assert parts.scripts == 0
     assert all(f'alt="{name}' in text for name in PICTURES)
     assert 'a&lt;b&gt;' in text and 'a<b>' not in text
+    # Its stamps are made up.
+    assert 'speed [px/frame]' in text and 'speed [px/s]' not in text
     assert len(parts.loaded) >= len(PICTURES) + 4
     for source in parts.loaded:
         kind, _, content = source.partition(',')

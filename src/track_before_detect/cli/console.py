@@ -20,8 +20,6 @@ from track_before_detect.types import Count, Trajectory
 
 FOUND, FAILED, BAD_INPUT, NOTHING_FOUND, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 130, 143
 
-# Of the columns of :func:`trajectory_cells`.
-TRAJECTORY_HEADER = ('id', 'frames', 'first x, y [px]', 'last x, y [px]', 'speed [px/s]', 'snr')
 
 
 def fail(program: str, message: object, code: int = BAD_INPUT) -> int:
@@ -127,6 +125,15 @@ def table(rows: Iterable[Sequence[str]]) -> str:
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return '\n'.join('  '.join(cell.rjust(width) for cell, width in zip(row, widths, strict=True))
                      for row in rows)
+
+
+def trajectory_header(stamps_known: bool) -> list[str]:
+    """Return the names of the columns of :func:`trajectory_cells`.
+
+    Where stamps are made up a frame is a second, and speeds are told by what is known.
+    """
+    return ['id', 'frames', 'first x, y [px]', 'last x, y [px]',
+            f'speed [px/{"s" if stamps_known else "frame"}]', 'snr']
 
 
 def trajectory_cells(trajectory: Trajectory) -> list[str]:

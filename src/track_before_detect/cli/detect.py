@@ -34,7 +34,7 @@ from track_before_detect.cli.console import (
     Progress,
     table,
     trajectory_cells,
-    TRAJECTORY_HEADER,
+    trajectory_header,
 )
 from track_before_detect.errors import DataError, MissingExtraError, TbdError
 from track_before_detect.options import (
@@ -265,7 +265,7 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
         lines = list(json_lines(found)) if arguments.json else []
         words = [_table(result.trajectories, recording.stamps_known), *_closing_words(result)]
         if rejected is not None:
-            words.append(_explanation(rejected, result))
+            words.append(_explanation(rejected, result, recording.stamps_known))
         elif n_above(result) or (result.rejected and not result.trajectories):
             words.append(_hint(result))
         return _Said(len(result.trajectories), '\n'.join(words), written, failed, lines)
@@ -382,9 +382,10 @@ def _closing_words(result: DetectionResult) -> list[str]:
         words.append(f'status {result.status}: {STATUSES[result.status]}')
         words += result.remarks if result.status == 'not_noise' else []
     if not result.trajectories and np.isfinite(result.best_statistic):
+        given = result.threshold_source == 'given'
         words.append(
             f'the best path has a statistic of {result.best_statistic:.2f}, the threshold is '
-            f'{result.threshold:.2f}: a larger false_alarm_rate lowers it')
+            f'{result.threshold:.2f}{"" if given else ": a larger false_alarm_rate lowers it"}')
     return words
 
 
@@ -413,13 +414,14 @@ def _hint(result: DetectionResult) -> str:
     return f'{count} candidate{"s" * (count > 1)} rejected: tbd detect --explain lists them'
 
 
-def _explanation(rejected: Sequence[Trajectory], result: DetectionResult) -> str:
+def _explanation(rejected: Sequence[Trajectory], result: DetectionResult,
+                 stamps_known: bool) -> str:
     """Return the strongest rejected candidates as text, relative to the threshold."""
     if not rejected:
         return 'no candidate rejected (calibration=clutter looks for reasons)'
     count = n_above(result)
     shown = rejected[:MOST_LISTED]
-    lines = table([[*TRAJECTORY_HEADER, 'statistic/threshold', 'reason'],
+    lines = table([[*trajectory_header(stamps_known), 'statistic/threshold', 'reason'],
                    *([*trajectory_cells(one), f'{one.statistic / result.threshold:.2f}',
                       one.reason] for one in shown)])
     more = len(rejected) - len(shown)
@@ -431,8 +433,6 @@ def _table(trajectories: Sequence[Trajectory], stamps_known: bool) -> str:
     """Return the trajectories as text, one line each."""
     if not trajectories:
         return 'no trajectory found'
-    header = [title if stamps_known else title.replace('px/s', 'px/frame')
-              for title in TRAJECTORY_HEADER]
-    return table([[*header, 'statistic'],
+    return table([[*trajectory_header(stamps_known), 'statistic'],
                   *([*trajectory_cells(trajectory), f'{trajectory.statistic:.2f}']
                     for trajectory in trajectories)])

@@ -14,7 +14,7 @@ from track_before_detect.cli.console import (
     Progress,
     require_extra,
     trajectory_cells,
-    TRAJECTORY_HEADER,
+    trajectory_header,
 )
 from track_before_detect.cli.detect import (
     add_input_arguments,
@@ -80,14 +80,16 @@ def run(arguments: Namespace) -> int:
              str(result.n_batches), f'{100 * no_data:.1f} %',
              f'{facts[0].level:.3g}', str(len(result.trajectories)),
              str(n_above(result)))]
+        known = recording.stamps_known
         text = page(f'tbd inspect {recording.name}', [
             ('What looks wrong', sentences(wrong, 'Nothing.', 'wrong')),
             ('In numbers', table(counts, '')),
             ('What the detector sees', pictures(images)),
-            ('Trajectories', table(_rows(result.trajectories, result.threshold),
+            ('Trajectories', table(_rows(result.trajectories, result.threshold, known),
                                    'No trajectory found.')),
-            ('Candidates that are no targets', table(_rows(rejected, result.threshold, True),
-                                          'None (calibration=clutter looks for reasons).')),
+            ('Candidates that are no targets', table(
+                _rows(rejected, result.threshold, known, True),
+                'None (calibration=clutter looks for reasons).')),
             ('Remarks', sentences(result.remarks, 'None.')),
             ('Options', table(_option_rows(observed.options, told), '')),
         ])
@@ -100,10 +102,10 @@ def run(arguments: Namespace) -> int:
     return FOUND
 
 
-def _rows(trajectories: Sequence[Trajectory], threshold: float,
+def _rows(trajectories: Sequence[Trajectory], threshold: float, stamps_known: bool,
           with_reason: bool = False) -> list[list[str]]:
     """Return a table of trajectories, the header first."""
-    return [[*TRAJECTORY_HEADER, 'statistic/threshold', *['reason'] * with_reason],
+    return [[*trajectory_header(stamps_known), 'statistic/threshold', *['reason'] * with_reason],
             *([*trajectory_cells(one), f'{one.statistic / threshold:.2f}',
                *[one.reason] * with_reason] for one in trajectories)]
 

@@ -10,7 +10,7 @@ from track_before_detect.cli.console import (
     position_cell,
     table,
     trajectory_cells,
-    TRAJECTORY_HEADER,
+    trajectory_header,
 )
 from track_before_detect.types import Trajectory
 
@@ -57,7 +57,7 @@ def _found_table(trajectories: Sequence[Trajectory], truth: NDArray | None,
                  errors: Errors) -> str:
     if not trajectories:
         return 'no trajectory found'
-    rows = [[*TRAJECTORY_HEADER,
+    rows = [[*trajectory_header(stamps_known=True),
              *([] if truth is None else ['nearest target', 'mean error [px]'])]]
     for trajectory in trajectories:
         row = trajectory_cells(trajectory)
