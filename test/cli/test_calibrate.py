@@ -28,6 +28,14 @@ def test_both_thresholds_are_printed_and_the_simulated_one_is_kept(capsys, tmp_p
     assert len(list(tmp_path.rglob('noise-*.npy'))) == 2
 
 
+def test_progress_is_as_quiet_or_verbose_as_asked_for(capsys):
+    # Each of another size, for what is kept is not searched again.
+    for width, loudness, said in (('24', '--quiet', False), ('28', '--verbose', True)):
+        assert main(['calibrate', '3', '20', width, '--set', 'detector=cfo_dp', loudness]) == 0
+        error = capsys.readouterr().err
+        assert (' %' in error) == said and bool(error) == said
+
+
 def test_options_beyond_the_model_have_none(capsys):
     assert main(['calibrate', '3', '20', '24', '--set', 'detector=cfo_dp']) == 0
     assert capsys.readouterr().out.splitlines()[1].split()[3:] == ['none', 'none']

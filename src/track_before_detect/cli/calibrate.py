@@ -1,7 +1,6 @@
 """``tbd calibrate``: search noise for a threshold, and compare it with the model's."""
 
 from argparse import Namespace
-import sys
 from typing import Any
 
 from track_before_detect.checks import checked_number
@@ -49,7 +48,7 @@ def run(arguments: Namespace) -> int:
 
     from track_before_detect.tracking.searched_noise import search_noise
 
-    with Progress(sys.stderr) as progress:
+    with Progress.asked_for(arguments) as progress:
         found = search_noise(options, np.arange(arguments.frames) / arguments.fps,
                              (arguments.height, arguments.width), progress)
     rows: list[tuple[str, ...]] = [('amplitudes', 'false alarm rate', 'simulated', 'model',
