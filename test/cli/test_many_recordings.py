@@ -131,6 +131,13 @@ def test_one_recording_is_searched_in_parts_that_are_kept(tmp_path):
     assert (shared / 'finished.jsonl').read_text().split() == done
 
 
+@pytest.mark.parametrize('command', ['detect', 'plan'])
+def test_workers_without_a_scheduler_are_refused(tmp_path, capsys, command):
+    assert main([command, str(tmp_path / 'a.npz'), '--jobs', '4']) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert '--jobs 4' in line and '--scheduler' in line
+
+
 def test_a_scheduler_that_does_not_answer_is_named(recordings, tmp_path, capsys):
     assert main(['detect', str(recordings / '*.npz'), '--output', str(tmp_path / 'out'), *OPTIONS,
                  '--scheduler', 'nowhere://here']) == 2

@@ -76,6 +76,18 @@ def test_a_result_is_shown_as_it_was_found_without_another_search(
         assert shown['labels'][0].startswith('7  ')
 
 
+@pytest.mark.parametrize('told', [
+    ['--fps', '5'], ['--topic', '/a'], ['--preset', 'none'], ['--set', 'threshold=9'],
+    ['--detector', 'greedy']])
+def test_what_changes_a_search_is_refused_beside_a_result(tmp_path, capsys, told):
+    pytest.importorskip('rerun', reason='the extra [view] is missing')
+    for name in ('summary.json', 'trajectories.csv'):
+        (tmp_path / name).touch()
+    assert main(['view', str(tmp_path), *told, '--save', str(tmp_path / 'a.rrd')]) == 2
+    [line] = capsys.readouterr().err.splitlines()
+    assert told[0] in line and 'is a result' in line
+
+
 def real_clip():
     """Return frames of a camera that pans over a sky, and where a target is said to be."""
     if not DATA:

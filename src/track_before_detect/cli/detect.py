@@ -36,7 +36,7 @@ from track_before_detect.cli.console import (
     trajectory_cells,
     trajectory_header,
 )
-from track_before_detect.errors import DataError, MissingExtraError, TbdError
+from track_before_detect.errors import DataError, MissingExtraError, ParameterError, TbdError
 from track_before_detect.options import (
     describe,
     DetectorOptions,
@@ -118,6 +118,14 @@ def add_worker_arguments(parser: Any) -> None:
                         help='workers of --scheduler local (default: one per core)')
 
 
+def check_workers(arguments: Namespace) -> None:
+    """Refuse a number of workers where there are none."""
+    if arguments.jobs is not None and arguments.scheduler is None:
+        raise ParameterError(f'--jobs {arguments.jobs} is the number of workers of --scheduler, '
+                             'which was not given: --scheduler local takes the cores of this '
+                             'machine')
+
+
 def add_input_arguments(parser: Any) -> None:
     """Add what is searched, and with which options."""
     parser.add_argument(
@@ -145,6 +153,7 @@ def add_input_arguments(parser: Any) -> None:
 def run(arguments: Namespace) -> int:
     """Search the recordings, print what was found and write the files; return the exit code."""
     told = told_options(arguments)
+    check_workers(arguments)
     check_output_folder(Path(arguments.output))
     wanted = wanted_files(arguments)
     paths = expand_inputs(arguments.inputs)

@@ -17,6 +17,7 @@ from track_before_detect.cli.console import FOUND, Progress, table
 from track_before_detect.cli.detect import (
     add_input_arguments,
     add_worker_arguments,
+    check_workers,
     chosen_options,
     told_options,
 )
@@ -131,6 +132,7 @@ def run(arguments: Namespace) -> int:
 
 def _workers(arguments: Namespace) -> int:
     """Return how many recordings are searched at a time elsewhere, 0 for none."""
+    check_workers(arguments)
     if arguments.scheduler is None:
         return 0
     if arguments.jobs is None and arguments.scheduler != 'local':

@@ -9,9 +9,12 @@ from typing import Any
 from track_before_detect.atomic_files import atomic_path
 from track_before_detect.cli.console import check_output_file, FOUND, NOTHING_FOUND, require_extra
 from track_before_detect.cli.detect import add_input_arguments, search, told_options
-from track_before_detect.errors import DataError
+from track_before_detect.errors import DataError, ParameterError
 from track_before_detect.recordings.open_recording import expand_inputs
 from track_before_detect.results.saved import is_result, Opened, read_result
+
+# The arguments that decide how a recording is read and searched.
+_OF_A_SEARCH = ('detector', 'config', 'preset', 'set', 'topic', 'fps')
 
 HELP = 'look at a search in a window or a browser'
 DESCRIPTION = (
@@ -43,12 +46,18 @@ def add_arguments(parser: Any) -> None:
 
 def run(arguments: Namespace) -> int:
     """Search the recording and show it; return the exit code."""
+    of_a_search = [f'--{name}' for name in _OF_A_SEARCH
+                   if getattr(arguments, name) not in (None, [])]
     told = told_options(arguments)
     require_extra('rerun', 'view', 'tbd view')
     if arguments.save is not None:
         check_output_file(Path(arguments.save), '.rrd', name='--save')
     if len(paths := expand_inputs(arguments.inputs)) > 1:
         raise DataError(f'tbd view takes one input, got {len(paths)}')
+    if of_a_search and is_result(paths[0]):
+        raise ParameterError(
+            f'{paths[0]} is a result, which is shown as it was found: {" and ".join(of_a_search)} '
+            'must be left out, or the recording given')
     from track_before_detect.inspection.live_view import LiveView
     from track_before_detect.inspection.view_outlets import new_stream, saved, served
 
