@@ -93,6 +93,11 @@ class BatchResult:
     rejected: list[FoundTrajectory] = field(default_factory=list)
 
 
+def share_threshold(interval: float, calibrated: float) -> bool:
+    """Return whether batches of a frame interval take the threshold that another one has."""
+    return abs(interval / calibrated - 1) <= SAME_INTERVAL
+
+
 class BatchDetector(ABC):
     """Finds the trajectories of one batch of prepared frames.
 
@@ -131,7 +136,7 @@ class BatchDetector(ABC):
         interval = median_interval(stamps)
         known = self._thresholds.setdefault((len(stamps), shape), [])
         for calibrated_interval, calibration in known:
-            if abs(interval / calibrated_interval - 1) <= SAME_INTERVAL:
+            if share_threshold(interval, calibrated_interval):
                 self.threshold_source = calibration.source
                 return calibration.threshold
         study = self.noise_study(interval * np.arange(len(stamps)), shape)

@@ -5,8 +5,7 @@ from collections.abc import Callable, Collection, Generator, Iterable, Iterator,
 from contextlib import closing
 from itertools import chain
 import logging
-import math
-from typing import Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from track_before_detect.errors import DataError
 from track_before_detect.option_models import psf_of
 from track_before_detect.options import DetectorOptions
 from track_before_detect.parallel import ahead
+from track_before_detect.solvers.batch_detector import share_threshold
 from track_before_detect.timestamps import increasing_frames, median_interval, pieces
 from track_before_detect.tracking.batcher import hop_of
 from track_before_detect.tracking.joined import JoinedTrajectories
@@ -49,13 +49,28 @@ class FrameSequence(Protocol):
         """Return one frame, shape (H, W)."""
 
 
+class Span(NamedTuple):
+    """Batches that are searched apart from those before.
+
+    Attributes
+    ----------
+    batches : list of array of int
+        Numbers of the frames of each.
+    earlier : list of array of int
+        Those of the batches before whose thresholds are not those of others, in their order.
+    """
+
+    batches: list[NDArray[np.int64]]
+    earlier: list[NDArray[np.int64]]
+
+
 class SharedSearch(Protocol):
     """Whoever searches the spans of a recording at the same time; see ``spans/``."""
 
     def changes(self, order: NDArray[np.int64], progress: Progress | None) -> Iterable[float]:
         """Return how much changes from each of some frames to the next."""
 
-    def found(self, n_spans: int, repeated: Sequence[int],
+    def found(self, spans: Sequence[Span],
               progress: Progress | None) -> Iterable[Sequence[Unlinked | None]]:
         """Return what is in each batch of each span in their order, None in those passed over."""
 
@@ -113,6 +128,21 @@ def frames_of_batches(parts: Sequence[NDArray[np.int64]], repeated: Collection[i
     return [np.array(held) for held in _cut(
         ([index for index in part.tolist() if index not in repeated] for part in parts),
         length, hop)]
+
+
+def spans_of(batches: Sequence[NDArray[np.int64]], stamps: NDArray[np.float64]) -> list[Span]:
+    """Return the spans of batches, told the numbers of the frames of each."""
+    spans: list[Span] = []
+    earlier: list[tuple[NDArray[np.int64], float]] = []
+    for first in range(0, len(batches), SPAN):
+        own = list(batches[first:first + SPAN])
+        spans.append(Span(own, [one for one, _ in earlier]))
+        for one in own:
+            interval = median_interval(stamps[one])
+            if not any(len(one) == len(other) and share_threshold(interval, calibrated)
+                       for other, calibrated in earlier):
+                earlier.append((one, interval))
+    return spans
 
 
 def _cut(parts: Iterable[Iterable[_Item]], length: int, hop: int) -> Iterator[Collection[_Item]]:
@@ -209,7 +239,7 @@ def detect_recording(recording: FrameSequence, options: DetectorOptions,
     if progress is not None:
         progress('searching', 0.0)
     with closing(_searched(cut, pipeline, n_frames, progress) if shared is None else _linked(
-            shared, parts, length, hop, repeated, TrackingPipeline(options),
+            shared, parts, stamps, length, hop, repeated, TrackingPipeline(options),
             progress)) as results_of:
         for frame_indices, result in results_of:
             searched.append((frame_indices, result))
@@ -256,16 +286,17 @@ def _searched(cut: Iterable[FrameBatch], pipeline: BatchPipeline, n_frames: int,
                 progress('searching', n_done / n_frames)
 
 
-def _linked(shared: SharedSearch, parts: Sequence[NDArray[np.int64]], length: int, hop: int,
-            repeated: RepeatedFrames, pipeline: TrackingPipeline, progress: Progress | None,
+def _linked(shared: SharedSearch, parts: Sequence[NDArray[np.int64]],
+            stamps: NDArray[np.float64], length: int, hop: int, repeated: RepeatedFrames,
+            pipeline: TrackingPipeline, progress: Progress | None,
             ) -> Generator[tuple[NDArray[np.int64], DetectionResult]]:
     """Yield as :func:`_searched`, of batches that are searched elsewhere."""
     order = np.concatenate(parts)
     changes = zip(order[1:].tolist(), shared.changes(order, progress), strict=True)
-    repeats = [index for index, changed in changes if repeated.is_one(changed)]
-    numbers = frames_of_batches(parts, set(repeats), length, hop)
-    spans = shared.found(math.ceil(len(numbers) / SPAN), repeats, progress)
-    for frame_indices, found in zip(numbers, chain.from_iterable(spans), strict=True):
+    repeats = {index for index, changed in changes if repeated.is_one(changed)}
+    numbers = frames_of_batches(parts, repeats, length, hop)
+    found_in = chain.from_iterable(shared.found(spans_of(numbers, stamps), progress))
+    for frame_indices, found in zip(numbers, found_in, strict=True):
         if found is not None:
             yield frame_indices, pipeline.link(found, elsewhere=True)
 

@@ -3,13 +3,15 @@
 import dataclasses
 import json
 
+from hypothesis import given
+from hypothesis import strategies as st
 import numpy as np
 import pytest
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.tracking.recording import detect_recording, SPAN
-from track_before_detect.tracking.spans.as_json import as_json, from_json
+from track_before_detect.tracking.recording import detect_recording, SPAN, spans_of
+from track_before_detect.tracking.spans.as_json import as_ends, as_json, from_ends, from_json
 from track_before_detect.tracking.spans.span_search import changes, search_span
 
 LENGTH, HOP, SHAPE = 8, 4, (24, 32)
@@ -41,11 +43,10 @@ class Spans:
         return (changes(self.recording, order[:middle + 1])
                 + changes(self.recording, order[middle:]))
 
-    def found(self, n_spans, repeated, progress):
+    def found(self, spans, progress):
         # The last one first.
         spans = [json.dumps(as_json(search_span(
-            self.recording, SHAPE, self.options, number, repeated)))
-            for number in reversed(range(n_spans))]
+            self.recording, SHAPE, self.options, span))) for span in reversed(spans)]
         return [from_json(json.loads(one)) for one in reversed(spans)]
 
 
@@ -96,6 +97,16 @@ def test_so_they_do_with_other_options(more):
     assert_same(whole, shared)
 
 
+def test_a_threshold_is_that_of_the_first_batch_with_nearly_its_interval():
+    # A clock that drifts by more than the batches of one threshold may differ.
+    stamps = np.cumsum(np.linspace(1.0, 1.6, N_FRAMES))
+    whole, shared = both(scene(0), stamps, threshold=None)
+    assert whole.trajectories
+    assert_same(whole, shared)
+    assert len(spans_of([np.arange(first, first + LENGTH) for first in range(
+        0, N_FRAMES - LENGTH, HOP)], stamps)[-1].earlier) > 1
+
+
 def test_repeated_frames_gaps_and_pauses_lie_where_they_do_in_one_search(caplog):
     frames, stamps = scene(3), np.arange(float(N_FRAMES))
     frames[30:34] = frames[29]
@@ -108,3 +119,26 @@ def test_repeated_frames_gaps_and_pauses_lie_where_they_do_in_one_search(caplog)
     assert len(whole.trajectories) >= 3 and len(whole.remarks) >= 4
     assert whole.n_batches < 2 * SPAN + 3
     assert_same(whole, shared)
+
+
+def test_a_span_is_told_of_no_frames_but_its_own_and_those_that_made_a_threshold():
+    rng = np.random.default_rng(0)
+    kept = np.flatnonzero(rng.uniform(size=3000) < 0.5)
+    stamps = np.arange(3000) / 25
+    # From here on frames are ten times as far apart.
+    stamps[2000:] += 9 * (stamps[2000:] - stamps[2000])
+    batches = [kept[first:first + LENGTH] for first in range(0, len(kept), HOP)]
+    spans = spans_of(batches, stamps)
+    assert [len(span.batches) for span in spans[:-1]] == [SPAN] * (len(spans) - 1)
+    np.testing.assert_equal([one for span in spans for one in span.batches], batches)
+    assert [len(span.earlier) for span in spans] == sorted(len(span.earlier) for span in spans)
+    # Of some intervals that differ, and of the shorter batch at the end none.
+    assert len(spans[0].earlier) == 0 and 2 <= len(spans[-1].earlier) <= 12
+
+
+@given(st.sets(st.integers(0, 200), min_size=1))
+def test_frames_of_a_batch_travel_as_its_ends_and_what_is_missing(numbers):
+    numbers = np.array(sorted(numbers))
+    ends = json.loads(json.dumps(as_ends(numbers)))
+    np.testing.assert_array_equal(from_ends(ends), numbers)
+    assert len(ends) == 2 + np.ptp(numbers) + 1 - len(numbers)

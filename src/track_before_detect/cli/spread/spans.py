@@ -28,8 +28,8 @@ from track_before_detect.runs.runner import Item, Measure, Runner
 from track_before_detect.runs.workers import Workers
 from track_before_detect.tracking import remarks
 from track_before_detect.tracking.pipeline import Unlinked
-from track_before_detect.tracking.recording import SharedSearch
-from track_before_detect.tracking.spans.as_json import as_json, from_json
+from track_before_detect.tracking.recording import SharedSearch, Span
+from track_before_detect.tracking.spans.as_json import as_ends, as_json, from_ends, from_json
 from track_before_detect.tracking.spans.span_search import changes, search_span
 from track_before_detect.types import Progress
 
@@ -59,19 +59,22 @@ class _Spans:
 
     def changes(self, order: NDArray[np.int64], progress: Progress | None) -> Iterator[float]:
         """Yield how much changes from each of some frames to the next."""
-        items = [{**self._input({}), 'frames': order[first:first + _READ + 1].tolist()}
+        shared = self._input({})
+        items = [{**shared, 'frames': order[first:first + _READ + 1].tolist()}
                  for first in range(0, len(order) - 1, _READ)]
         for result in self._each(changes_of, items, 'reading', progress):
             yield from result['changes']
 
-    def found(self, n_spans: int, repeated: Sequence[int],
+    def found(self, spans: Sequence[Span],
               progress: Progress | None) -> Iterator[list[Unlinked | None]]:
         """Yield what is in each batch of each span, None in those that are passed over."""
         told = {field.name: value for field in dataclasses.fields(self.options)
                 if (value := getattr(self.options, field.name)) != field.default}
         options = with_whole_names(told)
-        items = [{**self._input(options), 'options': options, 'repeated': list(repeated),
-                  'span': number} for number in range(n_spans)]
+        shared = {**self._input(options), 'options': options}
+        items = [{**shared, 'span': number, **{
+            name: [as_ends(one) for one in batches] for name, batches in span._asdict().items()}}
+            for number, span in enumerate(spans)]
         for result in self._each(span_of, items, 'searching', progress):
             yield from_json(result['found'])
 
@@ -109,8 +112,8 @@ def span_of(item: Item) -> dict[str, Any]:
     logging.getLogger('track_before_detect').setLevel(
         logging.ERROR if item['span'] else logging.NOTSET)
     return {'found': as_json(search_span(
-        recording, recording.shape, DetectorOptions.from_mapping(item['options']), item['span'],
-        item['repeated']))}
+        recording, recording.shape, DetectorOptions.from_mapping(item['options']),
+        Span(*([from_ends(one) for one in item[name]] for name in Span._fields))))}
 
 
 def _opened(item: Item) -> Recording:

@@ -1,10 +1,12 @@
 """What was found in batches as what JSON can hold, to the last bit."""
 
 import base64
+from collections.abc import Sequence
 import dataclasses
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from track_before_detect.tracking.pipeline import Unlinked
 from track_before_detect.types import DetectionResult, Remark, Step, Trajectory
@@ -24,6 +26,18 @@ def as_json(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [as_json(one) for one in value]
     return value.item() if isinstance(value, np.generic) else value
+
+
+def as_ends(numbers: NDArray[np.int64]) -> list[int]:
+    """Return the first and last of increasing numbers, and those between them that are missing."""
+    first, last = int(numbers[0]), int(numbers[-1])
+    return [first, last, *np.setdiff1d(np.arange(first, last + 1), numbers).tolist()]
+
+
+def from_ends(ends: Sequence[int]) -> NDArray[np.int64]:
+    """Return the numbers that :func:`as_ends` was told."""
+    first, last, *missing = ends
+    return np.setdiff1d(np.arange(first, last + 1), missing)
 
 
 def from_json(value: Any) -> Any:

@@ -1,6 +1,6 @@
 """One span of the batches of a recording, searched by itself."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import closing
 from itertools import pairwise
 
@@ -10,14 +10,7 @@ from numpy.typing import NDArray
 from track_before_detect.options import DetectorOptions
 from track_before_detect.parallel import ahead
 from track_before_detect.tracking.pipeline import TrackingPipeline, Unlinked
-from track_before_detect.tracking.recording import (
-    frames_of_batches,
-    FrameSequence,
-    length_and_hop,
-    parts_of,
-    prepared_batches,
-    SPAN,
-)
+from track_before_detect.tracking.recording import FrameSequence, prepared_batches, Span
 from track_before_detect.tracking.repeated_frames import change
 from track_before_detect.types import FrameBatch
 
@@ -29,7 +22,7 @@ def changes(recording: FrameSequence, order: Sequence[int]) -> list[float]:
 
 
 def search_span(recording: FrameSequence, shape: tuple[int, int], options: DetectorOptions,
-                number: int, repeated: Collection[int]) -> list[Unlinked | None]:
+                span: Span) -> list[Unlinked | None]:
     """Search the batches of a span as a search of the whole recording does.
 
     Parameters
@@ -39,27 +32,20 @@ def search_span(recording: FrameSequence, shape: tuple[int, int], options: Detec
     shape : tuple of int
         (H, W) of its frames.
     options : DetectorOptions
-    number : int
-        Of the span.
-    repeated : collection of int
-        Numbers of the frames that hold nothing new.
+    span : Span
 
     Returns
     -------
     list
         What is in each batch; None of those that are passed over.
     """
-    length, hop = length_and_hop(len(recording), options)
     stamps = np.asarray(recording.stamps, float)
-    numbers = frames_of_batches(parts_of(stamps, length)[0], set(repeated), length, hop)
-    first = number * SPAN
-    own = numbers[first:first + SPAN]
     pipeline = TrackingPipeline(options)
     # Batches take the threshold of an earlier one that is nearly alike.
-    pipeline.thresholds([stamps[one] for one in numbers[:first]], shape)
-    found: list[Unlinked | None] = [None] * len(own)
+    pipeline.thresholds([stamps[one] for one in span.earlier], shape)
+    found: list[Unlinked | None] = [None] * len(span.batches)
     with closing(ahead(prepared_batches(
-            _read(recording, stamps, own), pipeline.prepare_unlinked, len(recording),
+            _read(recording, stamps, span.batches), pipeline.prepare_unlinked, len(recording),
             None))) as prepared:
         for batch, _, search in prepared:
             found[batch] = one = search(None)
