@@ -381,6 +381,61 @@ def test_failure_while_writing_keeps_the_results_of_the_run_before(
     assert {file.name: file.read_bytes() for file in output.iterdir()} == before
 
 
+def test_files_of_the_run_before_are_removed_and_those_of_others_stay(
+        recording_file, stand_in, tmp_path):
+    pytest.importorskip('PIL', reason='the extra [video] is missing')
+    output = tmp_path / 'out'
+    output.mkdir()
+    theirs = {'coco.json', 'b.gif', 'notes.txt', 'finished.jsonl'}
+    for name in theirs:
+        (output / name).write_text('theirs')
+    more = ['--formats', 'mot', '--explain', '--video', 'a.gif']
+    assert run('detect', recording_file, '--output', output, *more) == 0
+    assert {'mot.txt', 'rejected.csv', 'a.gif', 'overlay.png'} < set(os.listdir(output))
+    assert run('detect', recording_file, '--output', output, '--no-overlay') == 0
+    assert set(os.listdir(output)) == {'summary.json', 'trajectories.csv', *theirs}
+    assert {(output / name).read_text() for name in theirs} == {'theirs'}
+
+
+@pytest.mark.parametrize('files', [['../a.gif', 'a.npz'], 'a.gif', None, [7]])
+def test_no_file_is_removed_for_a_summary_of_something_else(
+        recording_file, stand_in, tmp_path, files):
+    output = tmp_path / 'out'
+    output.mkdir()
+    (output / 'summary.json').write_text(json.dumps({'files': files}))
+    for path in (tmp_path / 'a.gif', output / 'a.npz'):
+        path.touch()
+    assert run('detect', recording_file, '--output', output, '--no-overlay') == 0
+    assert (tmp_path / 'a.gif').exists() and (output / 'a.npz').exists()
+
+
+def test_a_film_of_the_run_before_that_is_searched_itself_stays(stand_in, tmp_path):
+    for package in ('PIL', 'av'):
+        pytest.importorskip(package, reason='the extra [video] is missing')
+    output, first = tmp_path / 'out', npz(tmp_path / 'a.npz')
+    assert run('detect', first, '--output', output, '--no-overlay', '--video', 'a.mp4') == 0
+    assert run('detect', output / 'a.mp4', '--output', output, '--no-overlay') == 0
+    assert (output / 'a.mp4').exists()
+
+
+@pytest.mark.parametrize(('command', 'inputs', 'output'), [
+    ('detect', ['one'], 'one'), ('detect', ['one', 'two'], '.'), ('inspect', ['one'], 'one/')])
+def test_results_among_the_images_of_an_input_are_refused(
+        stand_in, tmp_path, monkeypatch, capsys, command, inputs, output):
+    image_module = pytest.importorskip('PIL.Image')
+    for name in ('one', 'two'):
+        (tmp_path / name).mkdir()
+        for k in range(3):
+            image_module.new('L', (8, 8)).save(tmp_path / name / f'{k}.png')
+    monkeypatch.chdir(tmp_path)
+    assert run(command, *inputs, '--output', output) == 2
+    assert_one_sentence(capsys, 'into one', '--output')
+    assert sorted(os.listdir(tmp_path / 'one')) == ['0.png', '1.png', '2.png']
+    assert stand_in.options is None
+    # Beside them, as elsewhere, is no matter.
+    assert run('detect', *inputs, '--output', 'one/found') == 0
+
+
 def target_of_some_frames(path, n_frames, seen, amplitude=6.0):
     """Write noise with a target in the frames ``seen``."""
     frames = np.random.default_rng(1).standard_normal((n_frames, 24, 40)).astype(np.float32)

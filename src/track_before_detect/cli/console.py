@@ -104,6 +104,15 @@ def check_output_folder(output: Path) -> None:
         raise ParameterError(f'--output {output} cannot be written: no permission in {existing}')
 
 
+def check_apart(inputs: Iterable[Path], outputs: Iterable[Path]) -> None:
+    """Refuse results within a folder that is an input, among whose files they would be read."""
+    folders = {path.resolve(): path for path in inputs if path.is_dir()}
+    for output in outputs:
+        if (path := folders.get(output.resolve())) is not None:
+            raise ParameterError(f'results would go into {path}, among the files of the input: '
+                                 '--output must be another folder')
+
+
 def check_output_file(output: Path, *suffixes: str, name: str = '--output') -> None:
     """Refuse before the work a file of another type, or one in a folder that does not exist."""
     if output.suffix not in suffixes:

@@ -24,6 +24,7 @@ from track_before_detect.cli.console import (
     add_set_argument,
     assignments,
     BAD_INPUT,
+    check_apart,
     check_output_folder,
     error_words,
     fail,
@@ -160,6 +161,7 @@ def run(arguments: Namespace) -> int:
     check_inputs_stay(paths, folders_of(paths, arguments), wanted.names(arguments.explain))
     # Where lines of JSON are asked for, other programs read what is printed.
     words = sys.stderr if arguments.json else sys.stdout
+    check_apart(paths, folders_of(paths, arguments))
     if arguments.scheduler is not None and len(paths) > 1:
         from track_before_detect.cli.spread.recordings import search_on_workers
         return search_on_workers(paths, arguments, told, words)
@@ -267,7 +269,8 @@ def _search(path: Path, output: Path, arguments: Namespace, told: Mapping[str, A
     with source.open() as recording:
         result, options = search(recording, arguments, told, share)
         found = Found(recording, options, result)
-        summary = summary_of(found, time.perf_counter() - started, __version__, source)
+        summary = summary_of(found, time.perf_counter() - started, __version__, source,
+                             wanted.names(arguments.explain))
         rejected = numbered(result) if arguments.explain else None
         with Progress.asked_for(arguments) as progress:
             written, failed = write_folder(output, found, summary, wanted, rejected, progress)

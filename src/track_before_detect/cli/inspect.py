@@ -9,6 +9,7 @@ from typing import Any
 from track_before_detect.atomic_files import atomic_folder
 from track_before_detect.cli.console import (
     add_output_argument,
+    check_apart,
     check_output_folder,
     FOUND,
     Progress,
@@ -51,6 +52,7 @@ def run(arguments: Namespace) -> int:
     require_extra('matplotlib', 'plots', 'tbd inspect')
     if len(paths := expand_inputs(arguments.inputs)) > 1:
         raise DataError(f'tbd inspect takes one input, got {len(paths)}')
+    check_apart(paths, [output])
     with open_recording(paths[0], arguments.topic, arguments.fps) as recording:
         from track_before_detect.inspection.findings import findings
         from track_before_detect.inspection.observation import Observation

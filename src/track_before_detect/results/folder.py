@@ -11,6 +11,7 @@ from track_before_detect.atomic_files import atomic_folder
 from track_before_detect.errors import TbdError
 from track_before_detect.recordings.overlay import write_overlay
 from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
+from track_before_detect.results.earlier import removing_earlier
 from track_before_detect.results.film import write_film
 from track_before_detect.results.formats import Format
 from track_before_detect.results.found import Found
@@ -56,7 +57,7 @@ def write_folder(output: Path, found: Found, summary: dict[str, Any], wanted: Wa
     be made, without which the tables are there all the same.
     """
     recording, result = found.recording, found.result
-    with atomic_folder(output) as aside:
+    with removing_earlier(output, summary), atomic_folder(output) as aside:
         for one in wanted.formats:
             one.write(aside / one.file, found)
         if rejected is not None:
@@ -90,9 +91,9 @@ def _why_not_written(path: Path, write: Callable[[Path], None]) -> list[str]:
     return []
 
 
-def summary_of(found: Found, seconds: float, version: str,
-               opened: Opened) -> dict[str, Any]:
-    """Return what summary.json says of a search that took so many seconds."""
+def summary_of(found: Found, seconds: float, version: str, opened: Opened,
+               files: Sequence[str]) -> dict[str, Any]:
+    """Return what summary.json says of a search that took so many seconds, and its files."""
     recording, options, result = found.recording, found.options, found.result
     interval = np.diff(recording.stamps[increasing_frames(recording.stamps)])
     return {
@@ -115,4 +116,5 @@ def summary_of(found: Found, seconds: float, version: str,
         'n_trajectories': len(result.trajectories),
         'seconds': round(seconds, 3),
         'version': version,
+        'files': list(files),
     }
