@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 import dataclasses
 import logging
 from pathlib import Path
@@ -108,12 +108,23 @@ def span_of(item: Item) -> dict[str, Any]:
     """Search the span of an item."""
     recording = _opened(item)
     # Remarks are said when spans are joined, and what the first one says of pixels by that alone.
-    logging.getLogger(remarks.__name__).setLevel(logging.ERROR)
-    logging.getLogger('track_before_detect').setLevel(
-        logging.ERROR if item['span'] else logging.NOTSET)
-    return {'found': as_json(search_span(
-        recording, recording.shape, DetectorOptions.from_mapping(item['options']),
-        Span(*([from_ends(one) for one in item[name]] for name in Span._fields))))}
+    with (_errors_alone(remarks.__name__),
+          _errors_alone('track_before_detect') if item['span'] else nullcontext()):
+        return {'found': as_json(search_span(
+            recording, recording.shape, DetectorOptions.from_mapping(item['options']),
+            Span(*([from_ends(one) for one in item[name]] for name in Span._fields))))}
+
+
+@contextmanager
+def _errors_alone(name: str) -> Iterator[None]:
+    """Let a logger tell of errors alone during the block."""
+    logger = logging.getLogger(name)
+    before = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 def _opened(item: Item) -> Recording:

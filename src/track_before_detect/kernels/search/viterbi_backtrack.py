@@ -266,8 +266,8 @@ def pick_peaks(peaks, best, at, above, radius):
         end, y, x = _next_peak(best, at)
         if not best[end, y, x] > above:
             return i
-        peaks[i] = end, y, x
-        starts[end] = x, y
+        peaks[i, 0], peaks[i, 1], peaks[i, 2] = end, y, x
+        starts[end, 0], starts[end, 1] = x, y
         leave_out(best, at, starts, radius)
-        starts[end] = NOWHERE
+        starts[end, 0] = starts[end, 1] = NOWHERE
     return len(peaks)
