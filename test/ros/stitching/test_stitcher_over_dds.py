@@ -83,6 +83,8 @@ def test_a_target_that_crosses_the_seam_keeps_its_id_and_nothing_is_found_twice(
     for name in REGIONS:
         station.wait_until(lambda name=name: station.node.count_subscribers(
             f'/{name}/trajectories/points') == 2, 'the stitcher')
+    # What we have discovered the detectors may not have yet, and nothing tells of it.
+    station.spin_for(2.0)
     frames, places = recorded()
     infos.publish(CameraInfo(
         header=Header(frame_id='camera'), height=SHAPE[0], width=SHAPE[1],
