@@ -21,7 +21,6 @@ from track_before_detect.types import Count, Trajectory
 FOUND, FAILED, BAD_INPUT, NOTHING_FOUND, INTERRUPTED, TERMINATED = 0, 1, 2, 3, 130, 143
 
 
-
 def fail(program: str, message: object, code: int = BAD_INPUT) -> int:
     """Say what is wrong in one line and return the exit code."""
     print(f'{program}: error: {" ".join(str(message).split())}', file=sys.stderr)

@@ -158,10 +158,11 @@ def run(arguments: Namespace) -> int:
     check_output_folder(Path(arguments.output))
     wanted = wanted_files(arguments)
     paths = expand_inputs(arguments.inputs)
-    check_inputs_stay(paths, folders_of(paths, arguments), wanted.names(arguments.explain))
+    folders = folders_of(paths, arguments)
+    check_inputs_stay(paths, folders, wanted.names(arguments.explain))
+    check_apart(paths, folders)
     # Where lines of JSON are asked for, other programs read what is printed.
     words = sys.stderr if arguments.json else sys.stdout
-    check_apart(paths, folders_of(paths, arguments))
     if arguments.scheduler is not None and len(paths) > 1:
         from track_before_detect.cli.spread.recordings import search_on_workers
         return search_on_workers(paths, arguments, told, words)

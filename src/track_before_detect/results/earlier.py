@@ -9,7 +9,8 @@ from typing import Any
 from track_before_detect.results.film import FILMS
 from track_before_detect.results.formats import FORMATS
 
-_OWN = {'overlay.png', 'rejected.csv', *(one.file for one in FORMATS.values())}
+SUMMARY, OVERLAY, REJECTED = 'summary.json', 'overlay.png', 'rejected.csv'
+_OWN = {OVERLAY, REJECTED, *(one.file for one in FORMATS.values())}
 
 
 @contextmanager
@@ -36,7 +37,7 @@ def removing_earlier(output: Path, summary: Mapping[str, Any]) -> Iterator[None]
 def _written_before(output: Path) -> list[Path]:
     """Return the files that the summary in a folder names, of those that a result may have."""
     try:
-        names = json.loads((output / 'summary.json').read_text(encoding='utf-8'))['files']
+        names = json.loads((output / SUMMARY).read_text(encoding='utf-8'))['files']
     except (OSError, ValueError, KeyError, TypeError):
         # None, or not one of ours.
         return []

@@ -11,15 +11,13 @@ from track_before_detect.atomic_files import atomic_folder
 from track_before_detect.errors import TbdError
 from track_before_detect.recordings.overlay import write_overlay
 from track_before_detect.recordings.result_files import write_summary_json, write_trajectories_csv
-from track_before_detect.results.earlier import removing_earlier
+from track_before_detect.results.earlier import OVERLAY, REJECTED, removing_earlier, SUMMARY
 from track_before_detect.results.film import write_film
 from track_before_detect.results.formats import Format
 from track_before_detect.results.found import Found
 from track_before_detect.results.saved import Opened
 from track_before_detect.timestamps import increasing_frames
 from track_before_detect.types import Progress, Trajectory
-
-SUMMARY, OVERLAY, REJECTED = 'summary.json', 'overlay.png', 'rejected.csv'
 
 
 @dataclasses.dataclass(frozen=True)
