@@ -45,6 +45,8 @@ WARM_UP_S, FAULT_PERIOD_S = 20.0, 17.0
 MEMORY_S, MEMORY_SHARE = 60.0, 0.1
 # Of the batches; with faults the first ones after each may miss the target.
 LEAST_FOLLOWED = {False: 0.98, True: 0.8}
+# Late results whose time is told.
+MOST_TOLD = 60
 QOS = QoSProfile(depth=20, reliability=QoSReliabilityPolicy.RELIABLE)
 # Of messages that are wrong in one way or another, beside some that only look so.
 LARGEST = 2**32 - 1
@@ -165,6 +167,8 @@ class Soak:
         self.arguments = arguments
         self.shape = tuple(arguments.size)
         self.latencies_s, self.memory = [], []
+        # When results came, seconds after the begin.
+        self.heard_s = []
         self.lives = [{}]
         self.n_batches = self.n_followed = self.n_others = 0
         self._stack = ExitStack()
@@ -206,6 +210,7 @@ class Soak:
     def _hear_points(self, message):
         made_s = float(message.header.frame_id)
         self.latencies_s.append(time.time() - made_s)
+        self.heard_s.append(time.monotonic() - self._began_s)
         points = conversions.points_to_array(message)
         newest = points[points['t'] >= points['t'].max(initial=0.0) - 1e-6]
         x, y = truth(made_s, self.shape)
@@ -296,8 +301,11 @@ class Soak:
         if len(latencies_s):
             middle, late = np.percentile(latencies_s, (50, 99))
             hop_s = HOP / self.arguments.rate
+            when = [f'{heard_s:.0f}' for heard_s, latency_s in zip(
+                self.heard_s, self.latencies_s) if latency_s > hop_s]
             print(f'latency: median {1e3 * middle:.0f} ms, 99 % within {1e3 * late:.0f} ms '
-                  f'(a hop is {1e3 * hop_s:.0f} ms)')
+                  f'(a hop is {1e3 * hop_s:.0f} ms), {len(when)} later than a hop, '
+                  f'heard after {", ".join(when[:MOST_TOLD]) or "none"} s')
             if late > hop_s:
                 failures.append(f'latency: 99 % within {1e3 * late:.0f} ms, not a hop')
         growth = self.growth()

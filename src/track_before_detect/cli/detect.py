@@ -59,8 +59,8 @@ if TYPE_CHECKING:
 
 # Rejected candidates that are printed, and those below the threshold that are told of.
 MOST_LISTED, MOST_BELOW = 20, 20
-# Has a recording searched by others, told the options.
-Share = Callable[[DetectorOptions], 'SharedSearch']
+# Has a recording searched by others, told the options and (H, W) of its frames.
+Share = Callable[[DetectorOptions, tuple[int, int]], 'SharedSearch']
 
 HELP = 'find trajectories in recordings'
 DESCRIPTION = (
@@ -291,7 +291,7 @@ def search(recording: Recording, arguments: Namespace, told: Mapping[str, Any],
     from track_before_detect.tracking.recording import detect_recording
 
     if share is not None:
-        observe['shared'] = share(options)
+        observe['shared'] = share(options, recording.shape)
     with Progress.asked_for(arguments, every=share is not None) as progress:
         try:
             # In a thread of its own, which an interrupt does not wait for.

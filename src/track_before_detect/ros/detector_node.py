@@ -20,7 +20,6 @@ from nav_msgs.msg import Path
 from numpy.typing import NDArray
 from rclpy.clock import Clock, ClockType
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.publisher import Publisher
@@ -31,7 +30,6 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import _declare_qos_parameters, QoSOverridingOptions
 from rclpy.subscription import Subscription
-from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Float32MultiArray, Header
 from std_srvs.srv import Trigger
@@ -87,7 +85,12 @@ from track_before_detect.ros.outputs.field_outputs import FieldOutputs, SCALE_PA
 from track_before_detect.ros.outputs.head import Head
 from track_before_detect.ros.outputs.seen_targets import RadarScale
 from track_before_detect.ros.outputs.stream_view import check_view, StreamView, VIEW
-from track_before_detect.ros.parameters import NodeParameter, option_parameters, option_values
+from track_before_detect.ros.parameters import (
+    check_topic_name,
+    NodeParameter,
+    option_parameters,
+    option_values,
+)
 from track_before_detect.ros.search_results import StreamResult
 from track_before_detect.ros.worker import StreamWorker
 from track_before_detect.tracking.batcher import DEFAULT_LENGTH
@@ -297,12 +300,8 @@ class DetectorNode(ManagedNode):
                             request.unseen.options.doppler_ambiguities})
         # Kept once it is known: it cuts frames already while other parameters change.
         self._region = self._region or region
-        try:
-            if values['camera_info']:
-                validate_topic_name(values['camera_info'])
-        except InvalidTopicNameException as error:
-            raise ParameterError('camera_info must be the name of a topic, got '
-                                 f'{values["camera_info"]!r}') from error
+        if values['camera_info']:
+            check_topic_name(values['camera_info'], 'camera_info must be the name of a topic')
         if values['camera_info'] and self._sensors:
             raise ParameterError('camera_info tells of one sensor, got '
                                  f'{values["camera_info"]!r} beside {len(self._sensors)} sensors')

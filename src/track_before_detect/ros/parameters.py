@@ -17,10 +17,12 @@ from rcl_interfaces.msg import (
     SetParametersResult,
 )
 from rcl_interfaces.srv import SetParameters
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rclpy.parameter_service import ParameterService
 from rclpy.qos_overriding_options import InvalidQosOverridesError
+from rclpy.validate_topic_name import validate_topic_name
 
 from track_before_detect.checks import checked_number
 from track_before_detect.errors import ParameterError, suggestion
@@ -29,6 +31,24 @@ from track_before_detect.options import describe, DetectorOptions, is_neutral
 INT32_MAX = 2**31 - 1
 FLOAT_MAX = 1e308
 NEUTRAL = {'number': 0.0, 'integer': 0, 'text': '', 'numbers': [], 'array': ''}
+
+
+def check_topic_name(name: str, wanted: str, told: str | None = None) -> None:
+    """Raise ParameterError where a name is none of a topic.
+
+    Parameters
+    ----------
+    name : str
+        What would be the topic.
+    wanted : str
+        What the parameter must be, such as ``camera_info must be the name of a topic``.
+    told : str, optional
+        What it is, if not this name itself.
+    """
+    try:
+        validate_topic_name(name)
+    except InvalidTopicNameException as error:
+        raise ParameterError(f'{wanted}, got {told or name!r}') from error
 
 
 @dataclass(frozen=True)

@@ -65,6 +65,23 @@ class Workers:
                     dashboard_address='127.0.0.1:0', silence_logs=logging.CRITICAL))
             yield replace(self, scheduler=cluster.scheduler_address)
 
+    def count(self) -> int:
+        """Return how many runs go on at a time."""
+        if self.scheduler is None or self.backend != 'dask':
+            return self.jobs or usable_cores()
+        with self._client() as client:
+            return max(1, sum(client.nthreads().values()))
+
+    @contextmanager
+    def _client(self) -> Iterator[Any]:
+        """Yield the client of a Dask cluster that is there."""
+        with ExitStack() as stack:
+            with _naming_what_is_missing('dask', self.scheduler):
+                from distributed import Client
+                _hush()
+                client = stack.enter_context(Client(self.scheduler))
+            yield client
+
     def run(self, call: Callable[[Any], Any], arguments: Sequence[Any],
             instead: Callable[[Any], Any] | None = None) -> Iterator[Any]:
         """Yield what a function returns for each argument, in any order.
@@ -109,11 +126,7 @@ class Workers:
     def _on_dask(self, call: Callable[[Any], Any], arguments: Sequence[Any],
                  instead: Callable[[Any], Any] | None) -> Iterator[Any]:
         """Yield the results of a Dask cluster; what a worker took with it is tried once more."""
-        with ExitStack() as stack:
-            with _naming_what_is_missing('dask', self.scheduler):
-                from distributed import Client
-                _hush()
-                client = stack.enter_context(Client(self.scheduler))
+        with self._client() as client:
             killed: list[Any] = []
             fatal: list[Any] = []
             yield from _as_they_come(client, call, arguments, killed)

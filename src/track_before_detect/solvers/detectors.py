@@ -25,12 +25,16 @@ DETECTOR_CLASSES: dict[str, type[BatchDetector]] = {
 }
 
 
-def make_detector(options: DetectorOptions) -> BatchDetector:
-    """Return a new detector, as the options say."""
+def make_detector(options: DetectorOptions,
+                  part: tuple[int, int] = (0, 1)) -> BatchDetector:
+    """Return a new detector, as the options say, of all tiles or of a part of them.
+
+    ``part`` is as of :class:`TiledDetector`.
+    """
     if options.calibration == 'clutter':
         return ClutterDetector(options)
     kind = DETECTOR_CLASSES[options.detector]
     detector = (EitherDetector(options, kind)
                 if options.amplitude_model == 'either' and issubclass(kind, PathDetector)
                 else kind(options))
-    return detector if options.tile_px is None else TiledDetector(options, detector)
+    return detector if options.tile_px is None else TiledDetector(options, detector, part)

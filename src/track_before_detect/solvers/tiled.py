@@ -4,8 +4,9 @@ What a tile sees of the targets that belong to it, and of those that overlap the
 whole frame shows; what is not is how these overlap others in turn, which ended outside.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,21 @@ from track_before_detect.types import FrameBatch, Progress, worst_status
 BOTH_PX, SAME_PX = 1.0, 0.5
 
 
+class _Found(Protocol):
+    """A trajectory, in whatever units."""
+
+    @property
+    def positions(self) -> NDArray[np.float64]:
+        """Pixels, shape (T, 2)."""
+
+    @property
+    def statistic(self) -> float:
+        """Detection statistic."""
+
+
+_Any = TypeVar('_Any', bound=_Found)
+
+
 class TiledDetector(BatchDetector):
     """Searches frames larger than ``tile_px`` tile by tile.
 
@@ -37,11 +53,16 @@ class TiledDetector(BatchDetector):
         With ``tile_px``.
     inner : BatchDetector
         Searches a tile, with the threshold of the frame that it is part of.
+    part : tuple of int
+        Number of a part of the tiles, in their order, and how many there are; what others find in
+        theirs is put together by :func:`each_once`.
     """
 
-    def __init__(self, options: DetectorOptions, inner: BatchDetector):
+    def __init__(self, options: DetectorOptions, inner: BatchDetector,
+                 part: tuple[int, int] = (0, 1)):
         super().__init__(options)
         self._inner = inner
+        self._part = part
         self._psf = psf_of(options)
 
     def threshold(self, stamps: NDArray, shape: tuple[int, int],
@@ -66,9 +87,13 @@ class TiledDetector(BatchDetector):
         self.check_kind(batch.frames)
         shape = batch.frames.shape[1:]
         tiles = tiles_of(self.options, batch.stamps, shape, self._psf)
+        number, n_parts = self._part
+        tiles = tiles[number * len(tiles) // n_parts:(number + 1) * len(tiles) // n_parts]
+        if not tiles:
+            return BatchResult([], self.threshold(batch.stamps, shape, progress), 'converged', [])
         watch = Watch(self.options.max_time_s)
         results: list[BatchResult] = []
-        candidates: list[tuple[float, int, FoundTrajectory]] = []
+        found: list[list[FoundTrajectory]] = []
         for number, tile in enumerate(tiles):
             if results and watch.time_is_up():
                 break
@@ -79,17 +104,33 @@ class TiledDetector(BatchDetector):
                 weights if weights is None else tile.of(weights), here,
                 progress and _share_of(progress, number, len(tiles)))
             results.append(result)
-            for one in result.found:
-                found = replace(one, positions=one.positions + tile.begin)
-                depth = float(tile.depth(_middle(found, batch.stamps)))
-                candidates.append((depth, number, found))
+            in_frame = [replace(one, positions=one.positions + tile.begin) for one in result.found]
+            found.append([one for one in in_frame
+                          if tile.depth(_middle(one, batch.stamps)) >= -BOTH_PX])
         self.threshold_source = self._inner.threshold_source
         worst = worst_status(result.status for result in results)
         return BatchResult(
-            _each_once(candidates), results[0].threshold, watch.status(worst),
+            each_once(found), results[0].threshold, watch.status(worst),
             [step for result in results for step in result.history],
             float(np.fmax.reduce([result.gap for result in results])),
             float(np.fmax.reduce([result.best_statistic for result in results])))
+
+
+def each_once(found: Iterable[Iterable[_Any]]) -> list[_Any]:
+    """Return each target that was found in any tile, or part of the tiles, once, by statistic.
+
+    Near the line between two tiles both have found it; the first one counts.
+
+    Parameters
+    ----------
+    found : iterable of iterable
+        Trajectories of each, in the order of the tiles.
+    """
+    kept: list[_Any] = []
+    for of_tile in found:
+        elsewhere = np.array([one.positions for one in kept])
+        kept += [one for one in of_tile if not _is_among(one.positions, elsewhere)]
+    return sorted(kept, key=lambda one: -one.statistic)
 
 
 def _middle(found: FoundTrajectory, stamps: NDArray) -> NDArray[np.float64]:
@@ -99,23 +140,14 @@ def _middle(found: FoundTrajectory, stamps: NDArray) -> NDArray[np.float64]:
     return found.positions[present[np.argmin(from_middle)]]
 
 
-def _each_once(candidates: list[tuple[float, int, FoundTrajectory]]) -> list[FoundTrajectory]:
-    """Return each target once, as the tile has it that it is deepest in, by its statistic.
-
-    Candidates are told with how deep they are in the core of a tile, and its number.
-    """
-    kept: list[tuple[int, FoundTrajectory]] = []
-    for depth, tile, one in sorted(candidates, key=lambda candidate: -candidate[0]):
-        if depth < -BOTH_PX or (depth < BOTH_PX and any(
-                tile != of_tile and _is_same(one, other) for of_tile, other in kept)):
-            continue
-        kept.append((tile, one))
-    return sorted((one for _, one in kept), key=lambda one: -one.statistic)
-
-
-def _is_same(one: FoundTrajectory, other: FoundTrajectory) -> bool:
-    distance = np.hypot(*(one.positions - other.positions).T)
-    return bool(np.isfinite(distance).any() and np.nanmean(distance) < SAME_PX)
+def _is_among(positions: NDArray, others: NDArray) -> bool:
+    """Return whether one of several paths (N, T, 2) is the same as one path (T, 2)."""
+    if not len(others):
+        return False
+    distances = np.hypot(*np.moveaxis(others - positions, -1, 0))
+    known = np.isfinite(distances)
+    total = np.where(known, distances, 0.0).sum(axis=1)
+    return bool(np.any(known.any(axis=1) & (total < SAME_PX * known.sum(axis=1))))
 
 
 def _share_of(progress: Progress, number: int, total: int) -> Progress:

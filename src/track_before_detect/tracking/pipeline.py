@@ -86,10 +86,13 @@ BatchSearch = Callable[[Progress | None], DetectionResult]
 BACKGROUNDS = {'either': ('temporal_median', 'spatial_median')}
 
 
-def detector_for(options: DetectorOptions) -> BatchDetector:
-    """Return the detector that searches beside each background, at its share of the rate."""
+def detector_for(options: DetectorOptions, part: tuple[int, int] = (0, 1)) -> BatchDetector:
+    """Return the detector that searches beside each background, at its share of the rate.
+
+    ``part`` is of the tiles, see :class:`TiledDetector`.
+    """
     return make_detector(options.replace(
-        false_alarm_rate=options.false_alarm_rate / len(_backgrounds(options))))
+        false_alarm_rate=options.false_alarm_rate / len(_backgrounds(options))), part)
 
 
 def _backgrounds(options: DetectorOptions) -> tuple[str, ...]:

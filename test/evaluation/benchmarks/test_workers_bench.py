@@ -24,17 +24,20 @@ def test_recordings_of_all_formats_hold_what_was_simulated(tmp_path):
 
 def test_a_run_is_timed_and_leaves_results_with_trajectories(tmp_path):
     paths = write_recordings(tmp_path, 2, 40, 32)
-    wall_s, cpu_s = bench.search(paths, tmp_path / 'out', bench.ALONE)
+    wall_s, cpu_s, peak = bench.search(paths, tmp_path / 'out', bench.ALONE)
     found = bench.results_in(tmp_path / 'out')
     assert wall_s > 0 and cpu_s > 0
+    # Of a process that has loaded the compiler, in bytes.
+    assert 5e7 < peak < 5e9
     assert len(found) == 4
     # Of each a head, and more.
     assert all(text.count(b'\n') > 1 for name, text in found.items() if name.endswith('.csv'))
 
 
 def test_the_table_says_how_many_results_are_the_same():
-    run = {'wall_s': {'min': 2.0}, 'cpu_s': {'min': 3.0}, 'n_same': 79, 'speed_up': 1.75}
+    run = {'wall_s': {'min': 2.0}, 'cpu_s': {'min': 3.0}, 'n_same': 79, 'speed_up': 1.75,
+           'peak_memory_bytes': 2**30}
     text = '\n'.join(bench.BENCH.lines({'repeats': 1, 'cases': [{
-        'n_recordings': 40, 'n_frames': 60, 'side_px': 64, 'n_results': 80,
+        'n_recordings': 40, 'n_frames': 60, 'side_px': 64, 'tile_px': 32, 'n_results': 80,
         'formats': ['', '.npz'], 'runs': {'2 workers': run}}]}))
     assert '79 of 80' in text and '1.75' in text and '.npz, images' in text

@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter  # noqa: E402
 from track_before_detect.ros.detector_node import DetectorNode  # noqa: E402
 from track_before_detect.ros.frame_publisher_node import FramePublisherNode  # noqa: E402
 from track_before_detect.ros.recorder.recorder_node import RecorderNode, TOPICS  # noqa: E402
+from track_before_detect.ros.stitching.stitcher_node import StitcherNode  # noqa: E402
 
 ROOT = Path(__file__).parents[3]
 POLICY = ROOT / 'config' / 'security_policy.xml'
@@ -29,6 +30,7 @@ SOMETIMES = {
                  '/clock', '/image/compressed'},
     'frame_publisher': {'/frame'},
     'recorder': {'/clock'},
+    'stitcher': {'/clock'},
 }
 
 
@@ -54,7 +56,8 @@ def doing(ros_domain, tmp_path_factory):
                                        'autostart': False, 'publish': 'head',
                                        'camera_info': 'camera_info'}),
                                    ('frame_publisher', FramePublisherNode, {'clock_hz': 1.0}),
-                                   ('recorder', RecorderNode, {'output': output}))}
+                                   ('recorder', RecorderNode, {'output': output}),
+                                   ('stitcher', StitcherNode, {'inputs': ['left', 'right']}))}
     detector = nodes['detector']
     assert detector.trigger_configure() == detector.trigger_activate()
     found = {(name, what): {

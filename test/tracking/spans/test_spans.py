@@ -10,9 +10,9 @@ import pytest
 
 from track_before_detect.options import DetectorOptions
 from track_before_detect.simulation.sensor import add_target
-from track_before_detect.tracking.recording import detect_recording, SPAN, spans_of
+from track_before_detect.tracking.recording import detect_recording, SPAN, Span, spans_of
 from track_before_detect.tracking.spans.as_json import as_ends, as_json, from_ends, from_json
-from track_before_detect.tracking.spans.span_search import changes, search_span
+from track_before_detect.tracking.spans.span_search import changes, of_all_tiles, search_span
 
 LENGTH, HOP, SHAPE = 8, 4, (24, 32)
 # Two whole spans and a part of one.
@@ -34,8 +34,8 @@ class Frames:
 class Spans:
     """Searches one span after the other, each on its own, in what travels between processes."""
 
-    def __init__(self, recording, options):
-        self.recording, self.options = recording, options
+    def __init__(self, recording, options, n_parts=1):
+        self.recording, self.options, self.n_parts = recording, options, n_parts
 
     def changes(self, order, progress):
         # In two parts, with the frame between them in both.
@@ -45,9 +45,24 @@ class Spans:
 
     def found(self, spans, progress):
         # The last one first.
-        spans = [json.dumps(as_json(search_span(
-            self.recording, SHAPE, self.options, span))) for span in reversed(spans)]
-        return [from_json(json.loads(one)) for one in reversed(spans)]
+        return [self.found_in(span) for span in reversed(spans)][::-1]
+
+    def found_in(self, span):
+        if self.n_parts == 1:
+            return self.travelled(span)
+        found, before = [], None
+        for number, batch in enumerate(span.batches):
+            one = Span([batch], [*span.earlier, *span.batches[:number]])
+            # The last tiles first.
+            parts = [self.travelled(one, (part, self.n_parts), before)[0]
+                     for part in reversed(range(self.n_parts))]
+            found.append(of_all_tiles(parts[::-1]))
+            before = before if found[-1] is None else found[-1]
+        return found
+
+    def travelled(self, *told):
+        return from_json(json.loads(json.dumps(as_json(
+            search_span(self.recording, SHAPE, self.options, *told)))))
 
 
 def scene(seed):
@@ -63,11 +78,11 @@ def scene(seed):
     return frames
 
 
-def both(frames, stamps=None, **more):
+def both(frames, stamps=None, n_parts=1, **more):
     options = DetectorOptions(**{**OPTIONS, **more})
     recording = Frames(frames, np.arange(float(len(frames))) if stamps is None else stamps)
     return (detect_recording(recording, options),
-            detect_recording(recording, options, shared=Spans(recording, options)))
+            detect_recording(recording, options, shared=Spans(recording, options, n_parts)))
 
 
 def assert_same(whole, shared):
@@ -94,6 +109,17 @@ def test_spans_give_what_one_search_gives(seed):
 def test_so_they_do_with_other_options(more):
     whole, shared = both(scene(0), **more)
     assert whole.trajectories
+    assert_same(whole, shared)
+
+
+@pytest.mark.parametrize('n_parts', [2, 3, 20])
+@pytest.mark.parametrize('more', [{}, {
+    'background': 'spatial_median', 'noise': 'robust', 'amplitude_model': 'either'}],
+    ids=['as it is', 'much chosen'])
+def test_parts_of_the_tiles_give_what_one_search_of_all_tiles_gives(n_parts, more):
+    # Tiles of 12 px with a margin of 6 or 7 px: six of them.
+    whole, shared = both(scene(1), n_parts=n_parts, tile_px=12, max_speed_px_s=0.1, **more)
+    assert len(whole.trajectories) >= 3
     assert_same(whole, shared)
 
 

@@ -1,10 +1,12 @@
-"""One long recording, whose spans of batches are searched by many workers."""
+"""One recording, whose spans of batches, and tiles of large frames, many workers search."""
 
 from argparse import Namespace
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, nullcontext
 import dataclasses
+from itertools import islice
 import logging
+import math
 from pathlib import Path
 import threading
 from typing import Any
@@ -27,10 +29,10 @@ from track_before_detect.runs.kept_results import KeptResults
 from track_before_detect.runs.runner import Item, Measure, Runner
 from track_before_detect.runs.workers import Workers
 from track_before_detect.tracking import remarks
-from track_before_detect.tracking.pipeline import Unlinked
+from track_before_detect.tracking.pipeline import BACKGROUNDS, Unlinked
 from track_before_detect.tracking.recording import SharedSearch, Span
 from track_before_detect.tracking.spans.as_json import as_ends, as_json, from_ends, from_json
-from track_before_detect.tracking.spans.span_search import changes, search_span
+from track_before_detect.tracking.spans.span_search import changes, of_all_tiles, search_span
 from track_before_detect.types import Progress
 
 # Frames in which repeats are looked for at a time.
@@ -41,11 +43,11 @@ _kept = threading.local()
 
 @contextmanager
 def on_workers(source: Opened, arguments: Namespace,
-               ) -> Iterator[Callable[[DetectorOptions], SharedSearch]]:
-    """Yield what has a recording searched by workers with the options that are chosen."""
+               ) -> Iterator[Callable[[DetectorOptions, tuple[int, int]], SharedSearch]]:
+    """Yield what has a recording (H, W) searched by workers with the options that are chosen."""
     with workers_of(arguments).staying() as workers:
         kept = KeptResults(Path(arguments.output) / FINISHED)
-        yield lambda options: _Spans(source, options, workers, kept)
+        yield lambda options, shape: _Spans(source, shape, options, workers, kept)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,6 +55,7 @@ class _Spans:
     """Has the spans of a recording searched; see :class:`SharedSearch`."""
 
     source: Opened
+    shape: tuple[int, int]
     options: DetectorOptions
     workers: Workers
     kept: KeptResults
@@ -62,31 +65,76 @@ class _Spans:
         shared = self._input({})
         items = [{**shared, 'frames': order[first:first + _READ + 1].tolist()}
                  for first in range(0, len(order) - 1, _READ)]
-        for result in self._each(changes_of, items, 'reading', progress):
+        told = with_estimate(progress or _untold, len(items))
+        for result in self._each(changes_of, items, 'reading', told):
             yield from result['changes']
 
     def found(self, spans: Sequence[Span],
               progress: Progress | None) -> Iterator[list[Unlinked | None]]:
         """Yield what is in each batch of each span, None in those that are passed over."""
-        told = {field.name: value for field in dataclasses.fields(self.options)
-                if (value := getattr(self.options, field.name)) != field.default}
-        options = with_whole_names(told)
+        options = with_whole_names({
+            field.name: value for field in dataclasses.fields(self.options)
+            if (value := getattr(self.options, field.name)) != field.default})
         shared = {**self._input(options), 'options': options}
-        items = [{**shared, 'span': number, **{
-            name: [as_ends(one) for one in batches] for name, batches in span._asdict().items()}}
-            for number, span in enumerate(spans)]
-        for result in self._each(span_of, items, 'searching', progress):
+        n_parts = self._parts_of_tiles(len(spans))
+        if n_parts > 1:
+            yield from self._found_in_tiles(spans, n_parts, shared, progress)
+            return
+        items = [{**shared, **_of_span(span), 'is_first': not number}
+                 for number, span in enumerate(spans)]
+        told = with_estimate(progress or _untold, len(items))
+        for result in self._each(span_of, items, 'searching', told):
             yield from_json(result['found'])
+
+    def _found_in_tiles(self, spans: Sequence[Span], n_parts: int, shared: Item,
+                        progress: Progress | None) -> Iterator[list[Unlinked | None]]:
+        """Yield as :meth:`found`, of spans whose tiles are searched in parts.
+
+        A batch begins with the paths of the one before, in whatever tile, so that the n-th batches
+        of all spans are searched at a time.
+        """
+        found: list[list[Unlinked | None]] = [[] for _ in spans]
+        n_batches = max(len(span.batches) for span in spans)
+        told = with_estimate(progress or _untold, n_parts * sum(
+            len(span.batches) for span in spans))
+        for number in range(n_batches):
+            these = [which for which, span in enumerate(spans) if number < len(span.batches)]
+            items = []
+            for which in these:
+                own = spans[which].batches
+                before = [one for one in found[which] if one is not None]
+                # It takes the threshold of an earlier one that is nearly alike.
+                span = Span([own[number]], [*spans[which].earlier, *own[:number]])
+                items += [{**shared, **_of_span(span), 'part': [part, n_parts],
+                           'before': as_json(before[-1] if before else None),
+                           'is_first': not (which or number or part)} for part in range(n_parts)]
+            results = self._each(span_of, items, 'searching', _of_several(
+                told, number, n_batches))
+            parts = iter([from_json(result['found'][0]) for result in results])
+            for which in these:
+                found[which].append(of_all_tiles(list(islice(parts, n_parts))))
+        yield from found
+
+    def _parts_of_tiles(self, n_spans: int) -> int:
+        """Return in how many parts the tiles of each span are searched.
+
+        Each prepares whole frames anew, so there are only as many as give each worker something
+        to do. What is found beside several backgrounds is compared over the whole frame.
+        """
+        tile_px = self.options.tile_px
+        if tile_px is None or not n_spans or self.options.background in BACKGROUNDS:
+            return 1
+        n_tiles = math.prod(-(-length // tile_px) for length in self.shape)
+        return min(n_tiles, -(-self.workers.count() // n_spans))
 
     def _input(self, options: Mapping[str, Any]) -> dict[str, Any]:
         return {**self.source.as_mapping(), 'files': states_of(self.source.path, options)}
 
     def _each(self, measure: Measure, items: Sequence[Item], label: str,
-              progress: Progress | None) -> list[dict[str, Any]]:
+              progress: Progress) -> list[dict[str, Any]]:
         """Return the result of each item, in their order; all are kept before one is missed."""
-        told = with_estimate(progress or (lambda label, share: None), len(items))
         results: list[dict[str, Any]] = [{}] * len(items)
-        runner = Runner(told, self.workers, self.kept)
+        runner = Runner(progress, self.workers, self.kept)
         with closing(runner.each(measure, items, label, lambda item, result: bool(result),
                                  lambda item: {})) as each:
             for number, result in each:
@@ -104,15 +152,30 @@ def changes_of(item: Item) -> dict[str, Any]:
     return {'changes': changes(_opened(item), item['frames'])}
 
 
+def _untold(label: str, share: float) -> None:
+    """Tell nobody of progress."""
+
+
+def _of_several(progress: Progress, number: int, total: int) -> Progress:
+    """Return what tells of one of several rounds as part of all of them."""
+    return lambda label, share: progress(label, (number + share) / total)
+
+
+def _of_span(span: Span) -> dict[str, Any]:
+    """Return what an item holds of a span."""
+    return {name: [as_ends(one) for one in batches] for name, batches in span._asdict().items()}
+
+
 def span_of(item: Item) -> dict[str, Any]:
-    """Search the span of an item."""
+    """Search the span of an item, or a part of its tiles."""
     recording = _opened(item)
     # Remarks are said when spans are joined, and what the first one says of pixels by that alone.
     with (_errors_alone(remarks.__name__),
-          _errors_alone('track_before_detect') if item['span'] else nullcontext()):
+          nullcontext() if item['is_first'] else _errors_alone('track_before_detect')):
         return {'found': as_json(search_span(
             recording, recording.shape, DetectorOptions.from_mapping(item['options']),
-            Span(*([from_ends(one) for one in item[name]] for name in Span._fields))))}
+            Span(*([from_ends(one) for one in item[name]] for name in Span._fields)),
+            tuple(item.get('part', (0, 1))), from_json(item.get('before'))))}
 
 
 @contextmanager

@@ -31,13 +31,7 @@ class Case(CaseApart):
 
     def measure_here(self, repeats: int) -> dict[str, Any]:
         """Measure it in this process."""
-        rng = np.random.default_rng(SEED)
-        frames = rng.standard_normal((N_FRAMES, self.side_px, self.side_px), dtype=np.float32)
-        truth = planted(self)
-        for track in truth:
-            for frame, (x, y) in zip(frames, track, strict=True):
-                add_target(frame, x, y, 1.0, SNR)
-
+        frames, truth = scene(self)
         batch = FrameBatch.of(frames, np.arange(float(N_FRAMES)))
 
         def search() -> DetectionResult:
@@ -57,6 +51,17 @@ def cases(large: bool) -> dict[str, tuple[Case, ...]]:
     """Return what ``tbd bench tiles`` measures."""
     large_px = (1024, 2048, 4096) if large else ()
     return {'cases': (Case(512, 256), *(Case(side, 512) for side in large_px))}
+
+
+def scene(case: Case) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Return frames of noise with targets, and where these are, as :func:`planted` has it."""
+    rng = np.random.default_rng(SEED)
+    frames = rng.standard_normal((N_FRAMES, case.side_px, case.side_px), dtype=np.float32)
+    truth = planted(case)
+    for track in truth:
+        for frame, (x, y) in zip(frames, track, strict=True):
+            add_target(frame, x, y, 1.0, SNR)
+    return frames, truth
 
 
 def planted(case: Case) -> NDArray[np.float64]:

@@ -183,7 +183,7 @@ def _follow_back(positions, velocities, starts, tables, places, scores, j, y, x,
             velocities[t] = velocity
         if not goes_on:
             for earlier in range(j):
-                starts[earlier] = NOWHERE
+                starts[earlier, 0] = starts[earlier, 1] = NOWHERE
             return -1, y, x, velocity, turns
         turns += turned
         velocity, j, last = before, j - 1, first - 1
@@ -214,19 +214,23 @@ def trace_paths(positions, velocities, starts, values, left, tables, places, sco
     motion = _borrowed(motion)
     arriving = np.empty(layout.n_v + 1, np.float32)
     for i in range(len(ends)):
-        segment, y, x, velocity, turns = left[i]
+        segment, y, x = left[i, 0], left[i, 1], left[i, 2]
+        velocity, turns = left[i, 3], left[i, 4]
         last = motion.knots[segment + 1] - 1
         if segment == 0:
-            segment, turns, (y, x) = j, 0, ends[i]
+            segment, turns, y, x = j, 0, ends[i, 0], ends[i, 1]
             if j > 0:
                 _find_arriving(arriving, tables, places, j, y, x, motion, layout)
             velocity, last, values[i] = _best_end(arriving, scores, j, y, x, motion, layout)
             starts[i, j, 0], starts[i, j, 1] = x, y
             for later in range(j + 1, starts.shape[1]):
-                starts[i, later] = starts[i, later - 1] + motion.end_moves[later - 1, velocity]
-        left[i] = _follow_back(positions[i], velocities[i], starts[i], tables, places, scores,
-                               segment, y, x, velocity, last, stop, motion, layout)
-        left[i, 4] += turns
+                move = motion.end_moves[later - 1, velocity]
+                starts[i, later, 0] = starts[i, later - 1, 0] + move[0]
+                starts[i, later, 1] = starts[i, later - 1, 1] + move[1]
+        left[i, 0], left[i, 1], left[i, 2], left[i, 3], turned = _follow_back(
+            positions[i], velocities[i], starts[i], tables, places, scores, segment, y, x,
+            velocity, last, stop, motion, layout)
+        left[i, 4] = turns + turned
 
 
 @numba.njit(**EXACT)

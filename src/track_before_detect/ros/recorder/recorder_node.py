@@ -9,18 +9,20 @@ from typing import Any, cast
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidTopicNameException
 from rclpy.qos import (
     QoSDurabilityPolicy,
     QoSProfile,
     QoSReliabilityPolicy,
 )
-from rclpy.validate_topic_name import validate_topic_name
 
 from track_before_detect.errors import MissingExtraError, ParameterError
 from track_before_detect.ros.diagnostics import status_message, Warnings
 from track_before_detect.ros.logs.qos_events import input_events
-from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
+from track_before_detect.ros.parameters import (
+    check_topic_name,
+    NodeParameter,
+    ParameterizedNode,
+)
 from track_before_detect.ros.recorder.definitions import definition, message_class
 
 INPUT_DEPTH, OUTPUT_DEPTH = 100, 50
@@ -106,10 +108,7 @@ class RecorderNode(ParameterizedNode):
         super().destroy_node()
 
     def _full_name(self, topic: str) -> str:
-        try:
-            validate_topic_name(topic)
-        except InvalidTopicNameException as error:
-            raise ParameterError(f'topics must be names of topics, got {topic!r}') from error
+        check_topic_name(topic, 'topics must be names of topics')
         return self.resolve_topic_name(topic)
 
     def _open(self, values: dict[str, Any]) -> None:

@@ -13,8 +13,6 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path
 from rclpy.clock import Clock, ClockType
-from rclpy.exceptions import InvalidTopicNameException
-from rclpy.validate_topic_name import validate_topic_name
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
@@ -24,7 +22,11 @@ from track_before_detect.ros import conversions
 from track_before_detect.ros.detector_node import LIFETIME_BATCHES, OUTPUT_DEPTH
 from track_before_detect.ros.diagnostics import status_message, Warnings
 from track_before_detect.ros.logs.qos_events import input_events
-from track_before_detect.ros.parameters import NodeParameter, ParameterizedNode
+from track_before_detect.ros.parameters import (
+    check_topic_name,
+    NodeParameter,
+    ParameterizedNode,
+)
 from track_before_detect.ros.stitching.merging import check_sightings, RegionStitcher
 from track_before_detect.ros.stitching.rounds import RegionBatch, Rounds
 from track_before_detect.types import Trajectory
@@ -94,11 +96,7 @@ class StitcherNode(ParameterizedNode):
             raise ParameterError('inputs must be the namespaces of two detectors at least, each '
                                  f'once, got {names}')
         for name in names:
-            try:
-                validate_topic_name(f'{name}/{POINTS}')
-            except InvalidTopicNameException as error:
-                raise ParameterError(
-                    f'inputs must be names of namespaces, got {name!r}') from error
+            check_topic_name(f'{name}/{POINTS}', 'inputs must be names of namespaces', name)
 
     def _take(self, region: int, message: PointCloud2) -> None:
         self._n_received[region] += 1

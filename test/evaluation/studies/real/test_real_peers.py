@@ -1,5 +1,8 @@
 """Each peer finds a bright target that moves over a quiet background."""
 
+import itertools
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -74,3 +77,20 @@ def test_a_run_of_a_peer(peer, tmp_path):
 def test_an_unknown_peer_is_refused():
     with pytest.raises(ParameterError, match=r"unknown peer 'trackpi'; did you mean trackpy\?"):
         peer_named('trackpi')
+
+
+def test_distances_are_those_of_norfair():
+    norfair = pytest.importorskip('norfair')
+    from norfair.distances import mean_euclidean
+
+    from track_before_detect.evaluation.studies.real.peers.mog2_norfair import Distances
+    places = np.random.default_rng(5).normal(0, 20, (2, 12, 1, 2))
+    detections = [norfair.Detection(place) for place in places[0]]
+    tracked = [SimpleNamespace(estimate=place) for place in places[1]]
+    distances = Distances()
+    for moved in range(2):
+        distances.forget()
+        for one in tracked:
+            one.estimate = one.estimate + moved
+        for seen, one in itertools.product(detections, tracked):
+            assert distances.between(seen, one) == pytest.approx(mean_euclidean(seen, one))
