@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from track_before_detect.cli import main
-from track_before_detect.cli.plan import Plan, spans_of, together
+from track_before_detect.cli.plan import Plan, spans_of, Tiles, together
 from track_before_detect.options import DetectorOptions
 from track_before_detect.solvers.convex.detector import ConvexDetector
 from track_before_detect.solvers.tiled import TiledDetector
@@ -107,12 +107,24 @@ def test_workers_take_the_next_recording_when_they_are_done():
 
 
 def test_a_single_recording_is_shared_out_in_parts_of_eight_batches():
-    parts = spans_of(Plan(20, np.array([1.0, 1.5]), np.array([30.0, 40.0]), 1e9))
+    parts = spans_of(Plan(20, np.array([1.0, 1.5]), np.array([30.0, 40.0]), 1e9), 2)
     assert [part.n_batches for part in parts] == [8, 8, 4]
     n_batches, times, memory = together(parts, 2, 2)
     assert n_batches == 20 and memory == 2e9
     # The second worker searches 8 + 4 batches, or the first one does.
     np.testing.assert_allclose(times, [1.5 + 24, 2 * 1.5 + 40])
+
+
+def test_the_tiles_of_a_recording_of_few_parts_are_shared_out_as_well():
+    plan = Plan(12, np.array([1.0, 1.5]), np.array([30.0, 48.0]), 1e9, Tiles(16, (512, 512), 1e8))
+    parts = spans_of(plan, 5)
+    assert [part.n_batches for part in parts] == [8, 0, 0, 4, 0, 0]
+    np.testing.assert_allclose(sum(part.search for part in parts), plan.search)
+    # Five of them first, the last one by who has done the third of four batches.
+    n_batches, times, memory = together(parts, 5, 5)
+    assert n_batches == 12 and memory == 5e9
+    np.testing.assert_allclose(times, [1.5 + 32 / 3, 5 * 1.5 + 48])
+    assert len(spans_of(plan, 2)) == 2
 
 
 def test_the_last_line_is_for_the_workers_that_are_told(tmp_path, capsys):

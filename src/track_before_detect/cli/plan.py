@@ -119,7 +119,7 @@ def run(arguments: Namespace) -> int:
                          *_cells(plan.n_batches, plan.start + plan.search, plan.memory_bytes)))
     if len(plans) > 1 or workers:
         name = f'all, {workers} worker{"s" * (workers > 1)}' if workers else 'all'
-        shared = spans_of(plans[0]) if len(plans) == 1 else plans
+        shared = spans_of(plans[0], workers) if len(plans) == 1 else plans
         rows.append((name, '', '', *_tile_cells(None), *_cells(*together(
             shared, workers, usable_cores() if arguments.scheduler == 'local' else workers))))
     rows.insert(0, ('recording', 'frames', 'size [px]', 'tiles', 'tile [px]', 'tile [GB]',
@@ -141,12 +141,19 @@ def _workers(arguments: Namespace) -> int:
     return Workers(arguments.jobs, 'dask').jobs or usable_cores()
 
 
-def spans_of(plan: Plan) -> list[Plan]:
-    """Return what the parts cost into which a single recording is cut for workers."""
+def spans_of(plan: Plan, workers: int) -> list[Plan]:
+    """Return what the parts cost into which a single recording is cut for workers.
+
+    Where there are fewer than workers, the tiles of each are cut as well; that each of these parts
+    prepares whole frames is not counted.
+    """
     from track_before_detect.tracking.recording import SPAN
+    from track_before_detect.tracking.spans.span_search import parts_of_tiles
     n_batches = [min(SPAN, plan.n_batches - first) for first in range(0, plan.n_batches, SPAN)]
-    return [replace(plan, n_batches=number, search=plan.search * number / plan.n_batches)
-            for number in n_batches]
+    n_parts = parts_of_tiles(plan.tiles.number if plan.tiles else 1, len(n_batches), workers)
+    return [replace(plan, n_batches=number if part == 0 else 0,
+                    search=plan.search * number / plan.n_batches / n_parts)
+            for number in n_batches for part in range(n_parts)]
 
 
 def together(plans: Sequence[Plan], workers: int,

@@ -32,7 +32,12 @@ from track_before_detect.tracking import remarks
 from track_before_detect.tracking.pipeline import BACKGROUNDS, Unlinked
 from track_before_detect.tracking.recording import SharedSearch, Span
 from track_before_detect.tracking.spans.as_json import as_ends, as_json, from_ends, from_json
-from track_before_detect.tracking.spans.span_search import changes, of_all_tiles, search_span
+from track_before_detect.tracking.spans.span_search import (
+    changes,
+    of_all_tiles,
+    parts_of_tiles,
+    search_span,
+)
 from track_before_detect.types import Progress
 
 # Frames in which repeats are looked for at a time.
@@ -118,14 +123,13 @@ class _Spans:
     def _parts_of_tiles(self, n_spans: int) -> int:
         """Return in how many parts the tiles of each span are searched.
 
-        Each prepares whole frames anew, so there are only as many as give each worker something
-        to do. What is found beside several backgrounds is compared over the whole frame.
+        What is found beside several backgrounds is compared over the whole frame.
         """
         tile_px = self.options.tile_px
         if tile_px is None or not n_spans or self.options.background in BACKGROUNDS:
             return 1
         n_tiles = math.prod(-(-length // tile_px) for length in self.shape)
-        return min(n_tiles, -(-self.workers.count() // n_spans))
+        return parts_of_tiles(n_tiles, n_spans, self.workers.count())
 
     def _input(self, options: Mapping[str, Any]) -> dict[str, Any]:
         return {**self.source.as_mapping(), 'files': states_of(self.source.path, options)}

@@ -64,6 +64,15 @@ def search_span(recording: FrameSequence, shape: tuple[int, int], options: Detec
     return found
 
 
+def parts_of_tiles(n_tiles: int, n_spans: int, n_workers: int) -> int:
+    """Return in how many parts the tiles of each span are searched.
+
+    Each part prepares whole frames anew, so there are only as many as give each worker something
+    to do.
+    """
+    return min(n_tiles, -(-n_workers // n_spans))
+
+
 def of_all_tiles(parts: Sequence[Unlinked | None]) -> Unlinked | None:
     """Return what is in a batch, told what is in each part of its tiles, in their order.
 
