@@ -46,8 +46,9 @@ def run(arguments: Namespace) -> int:
     from track_before_detect.tracking.presets import PRESETS
 
     if arguments.what in ('default', 'everything'):
-        # What frames of noise and of a scene ask for; one that moves needs more than one at rest.
-        searches = ({}, PRESETS['eoir_moving'], *searches)
+        # What frames of noise, where targets may be fast, and of a scene ask for; one that moves
+        # needs more than one at rest.
+        searches = ({'max_speed_px_s': 5.0}, PRESETS['eoir_moving'], *searches)
     options = [DetectorOptions(**search) for search in searches]
     started = time.perf_counter()
     with Progress.asked_for(arguments, every=True) as progress:

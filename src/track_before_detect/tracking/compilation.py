@@ -129,8 +129,13 @@ def entries_of(options: DetectorOptions) -> tuple[str, ...]:
 
 
 def searches_cells(options: DetectorOptions) -> bool:
-    """Return whether the paths of fast targets are sought among cells of positions first."""
-    return (_OF_DETECTORS.get(options.detector) is None and options.detector not in METHODS
+    """Return whether the paths of fast targets are sought among cells of positions first.
+
+    Unless a speed is told targets are slow. Short batches may ask for it all the same, of which a
+    segment has many velocities; it is compiled when such a batch comes.
+    """
+    return (options.max_speed_px_s is not None
+            and _OF_DETECTORS.get(options.detector) is None and options.detector not in METHODS
             and cells_may_lead(options.calibration != 'clutter', options.exposure_s > 0,
                                options.presence == 'partial'))
 

@@ -186,7 +186,7 @@ class TrackingPipeline:
             frames[:, 0, 0] = np.nan
             for detector in detectors:
                 detector.detect(batch)
-            if searches_cells(options):
+            if searches_cells(self._options):
                 search_once()
             self._prepare_once(options, frames.dtype)
         if progress is not None:
