@@ -35,6 +35,7 @@ from track_before_detect.ros import conversions
 from track_before_detect.ros.demo.child_process import ChildProcess
 from track_before_detect.ros.domain import free_domain_id
 
+PROFILE = Path(__file__).parents[1] / 'config' / 'fastdds_profile.xml'
 FAULTS = ('restarts', 'malformed', 'jumps')
 BATCH, HOP = 20, 10
 MOST_GROWTH, NEAR_PX, SPEED_PX_S = 0.02, 2.0, 5.0
@@ -340,6 +341,12 @@ def main():
         publish(arguments)
     os.environ.setdefault('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     os.environ.setdefault('ROS_DOMAIN_ID', str(free_domain_id()))
+    # As the launch files set them: a frame of 1 MB or more that does not fit through shared memory
+    # comes in pieces over the loopback, and waits for seconds where one is lost.
+    for name, value in (('FASTRTPS_DEFAULT_PROFILES_FILE', str(PROFILE)),
+                        ('MALLOC_MMAP_THRESHOLD_', '1073741824'),
+                        ('MALLOC_TRIM_THRESHOLD_', '1073741824')):
+        os.environ.setdefault(name, value)
     with tempfile.TemporaryDirectory() as folder:
         soak = Soak(arguments, Path(folder))
         try:
