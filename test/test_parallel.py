@@ -38,6 +38,11 @@ def test_a_limit_holds_while_it_is_asked_for_and_in_its_own_thread():
     assert usable_cores() == everything and seen == [everything]
 
 
+def test_a_limit_holds_for_the_threads_that_do_the_work():
+    with at_most_cores(1):
+        assert map_in_threads(lambda _: usable_cores(), range(3), lambda: None) == 3 * [1]
+
+
 def test_a_thread_beside_the_main_one_that_has_one_core_does_the_work_itself():
     seen = []
 

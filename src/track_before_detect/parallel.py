@@ -48,7 +48,8 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item],
 
     An interrupt (Ctrl-C) does so, too: a pool of threads would first wait for what is running,
     and once more when the interpreter exits. Compiled loops cannot be left otherwise. A thread
-    that has a single core, and is not the one that interrupts reach, does the work itself.
+    that has a single core, and is not the one that interrupts reach, does the work itself. What
+    this thread may use of the cores, no other one goes beyond.
 
     Parameters
     ----------
@@ -66,6 +67,7 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item],
         waiting.put(pair)
     done: queue.SimpleQueue[tuple[int, Any, BaseException | None]] = queue.SimpleQueue()
     ended = threading.Event()
+    cores = usable_cores()
 
     def run() -> None:
         while not ended.is_set():
@@ -74,13 +76,15 @@ def map_in_threads(work: Callable[[_Item], _Result], items: Sequence[_Item],
             except queue.Empty:
                 return
             try:
-                done.put((number, work(item), None))
+                with at_most_cores(cores):
+                    result = work(item)
             except BaseException as error:
                 done.put((number, None, error))
                 return
+            done.put((number, result, None))
 
     threads = [threading.Thread(target=run, daemon=True)
-               for _ in range(min(usable_cores(), len(items)))]
+               for _ in range(min(cores, len(items)))]
     for thread in threads:
         thread.start()
     results: dict[int, _Result] = {}

@@ -26,9 +26,10 @@ from track_before_detect.solvers.search.memory import BYTES_PER_GB
 _PROGRAM = ('import sys; from track_before_detect.cli import main; '
             "sys.exit(main(['detect', *sys.argv[1:]]))")
 # The threshold is given, for its calibration is not what is measured.
-_OPTIONS = ('--preset', 'none', '--set', 'background=spatial_median', '--set', 'noise=robust',
-            '--set', 'threshold=9', '--set', 'batch_length=20', '--no-overlay', '--formats',
-            'csv,json', '--quiet')
+_OPTIONS = ('--preset', 'none', '--set', 'threshold=9', '--set', 'batch_length=20',
+            '--no-overlay', '--formats', 'csv,json', '--quiet')
+# Of grey levels; the large frames are noise of one.
+_LEVELS = ('--set', 'background=spatial_median', '--set', 'noise=robust')
 
 
 @dataclass(frozen=True)
@@ -58,13 +59,13 @@ class Case:
         with tempfile.TemporaryDirectory() as folder:
             inputs = Path(folder) / 'recordings'
             inputs.mkdir()
-            options: tuple[str, ...] = _OPTIONS
+            options: tuple[str, ...] = _LEVELS
             if self.tile_px is None:
                 paths = write_recordings(inputs, self.n_recordings, self.n_frames, self.side_px)
             else:
                 paths = [inputs / 'tiles.npy']
                 np.save(paths[0], tiles.scene(tiles.Case(self.side_px, self.tile_px))[0])
-                options += ('--set', f'tile_px={self.tile_px}')
+                options = ('--set', f'tile_px={self.tile_px}')
             seconds: dict[Run, list[tuple[float, float]]] = {run: [] for run in RUNS}
             peaks: dict[Run, int] = dict.fromkeys(RUNS, 0)
             found = {}
@@ -86,7 +87,7 @@ class Case:
 
 
 def search(paths: Sequence[Path], output: Path, run: Run,
-           options: Sequence[str] = _OPTIONS) -> tuple[float, float, int]:
+           options: Sequence[str] = _LEVELS) -> tuple[float, float, int]:
     """Search recordings by the command.
 
     Returns
@@ -99,8 +100,8 @@ def search(paths: Sequence[Path], output: Path, run: Run,
     workers = ['--scheduler', 'local', '--jobs', str(run.workers)] if run.workers else []
     began = time.perf_counter()
     process = subprocess.Popen(
-        [sys.executable, '-c', _PROGRAM, *map(str, paths), '--output', str(output), *options,
-         *workers], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        [sys.executable, '-c', _PROGRAM, *map(str, paths), '--output', str(output), *_OPTIONS,
+         *options, *workers], stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
     if run.killed:
         _kill_a_worker(process, output / 'finished.jsonl', max(1, len(paths) // 4))
     assert process.stderr is not None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from track_before_detect.evaluation.engine.pictures import tidy
+from track_before_detect.evaluation.engine.pictures import legend_above, tidy
 from track_before_detect.evaluation.engine.quantities import estimate, Quantity, share
 from track_before_detect.evaluation.engine.runner import Runner
 from track_before_detect.evaluation.engine.seeds import seeds_of
@@ -187,7 +187,7 @@ def _draw(figure: Any, levels: Mapping[tuple[str, float | None], Sequence[Row]])
     single.tick_params(axis='y', labelsize=7)
     over_snr.set(ylim=(-3, 103), xlabel='single-frame SNR after noise is added',
                  ylabel='frames followed, mean over recordings [%]')
-    single.legend()
+    legend_above(figure, len(by_method), single.get_lines())
     tidy((single, over_snr), grid=False)
 
 
