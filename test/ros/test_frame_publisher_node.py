@@ -191,9 +191,10 @@ def test_both_nodes_together_use_every_frame_and_find_the_target(
 @pytest.mark.alone
 def test_thirty_frames_a_second_of_128_x_128_with_hop_10_are_kept_up_with(launch, station):
     station.listen(DiagnosticArray, '/diagnostics')
+    # With best effort the middleware may lose a frame, which is not the node's doing.
     detector = launch(
         'detector', '-p', 'frame_height:=128', '-p', 'frame_width:=128', '-p',
-        'frame_rate_hz:=30.0', '-p', 'hop:=10', '-p', 'preset:=none')
+        'frame_rate_hz:=30.0', '-p', 'hop:=10', '-p', 'preset:=none', '-p', 'reliable:=true')
     detector.wait_for_line(r'ready: .*threshold', timeout_s=300.0)
     launch('frame_publisher', '-p', 'rate_hz:=30.0', '-p', 'loop:=true', '-p',
            'wait_for_subscriber:=true')

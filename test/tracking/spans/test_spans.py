@@ -112,7 +112,7 @@ def test_so_they_do_with_other_options(more):
     assert_same(whole, shared)
 
 
-@pytest.mark.parametrize('n_parts', [2, 3, 20])
+@pytest.mark.parametrize('n_parts', [3, 20])
 @pytest.mark.parametrize('more', [{}, {
     'background': 'spatial_median', 'noise': 'robust', 'amplitude_model': 'either'}],
     ids=['as it is', 'much chosen'])
