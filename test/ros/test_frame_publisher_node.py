@@ -129,6 +129,7 @@ def test_it_waits_for_a_subscriber_before_the_first_frame(launch, station):
     ('rate_h:=3.0', "unknown parameter 'rate_h'; did you mean rate_hz?"),
     ('rate_hz:=-3', 'rate_hz must be at least 0 Hz, got -3'),
     ('topic:=camera', 'belongs to a bag'),
+    ('clock_hz:=1e-300', 'clock_hz must be 0 or at least 0.001, got 1e-300'),
     ('scenario_set:=snr', "scenario_set needs KEY=VALUE, got 'snr'"),
     ('scenario_set:=sn=2', "unknown parameter 'sn' of a scenario; did you mean snr?"),
     ('start_offset_s:=3.0', 'must leave a frame, but they lie at 0 to 1.56 s'),

@@ -1,5 +1,7 @@
 """What waits for the search thread comes in order, and the oldest make room."""
 
+import threading
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,14 @@ def test_changes_overtake_frames_and_a_flush_comes_after_them():
     assert queue.take(0).flush
     nothing = queue.take(0)
     assert nothing.request is None and nothing.frame is None and not nothing.flush
+
+
+@pytest.mark.parametrize('seconds', [1e9, 5e10, 1e300, np.inf])
+def test_work_is_waited_for_however_long_that_may_be(seconds):
+    queue = FrameQueue(3)
+    later = threading.Timer(0.1, queue.put, (PIXELS, 0.0, 'header'))
+    later.start()
+    assert queue.take(seconds).frame.tag == 'header'
 
 
 @pytest.mark.parametrize('waiting', [0, 2])

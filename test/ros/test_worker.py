@@ -110,6 +110,13 @@ def test_a_first_stamp_of_zero_does_not_spoil_the_preparation(stream):
     assert 'found a gap of 1.7e+09 s' in stream.warnings[0]
 
 
+def test_a_stream_goes_on_after_frames_that_are_ages_apart(stream):
+    feed(stream, [100.0, 1e10])
+    feed(stream, 1000.0 + 0.25 * np.arange(5))
+    wait_for(lambda: stream.queue.counters.batches >= 1)
+    assert stream.status.state == 'ready'
+
+
 def test_whoever_waits_for_the_preparation_is_told_how_it_went(start):
     expected = {'expected_shape': (3, 5), 'expected_interval_s': 0.1}
     worker = start('none', PLAIN, **expected)

@@ -154,6 +154,25 @@ def test_windows_of_few_frames_go_on_after_a_first_gap(length):
     assert window.median_interval_s == 1.0
 
 
+@pytest.mark.parametrize('n_before', [1, 2, 3, 8])
+@pytest.mark.parametrize('wild_s', [1e10, 60.0])
+def test_a_stream_goes_on_behind_a_frame_from_the_far_future(n_before, wild_s):
+    window, good = SlidingWindow(8, 4), 0.25 * np.arange(40)
+    answers = feed(window, [*good[:n_before], wild_s, *good[n_before:]])
+    last = batches_of(answers)[-1]
+    np.testing.assert_allclose(np.diff(last.stamps), 0.25)
+    assert last.frame_indices[-1] >= 37
+    assert sum(answer.outcome is Outcome.REFUSED for answer in answers) <= 8
+
+
+def test_frames_that_come_late_for_a_while_start_nothing_again():
+    # A second sender behind the first, and a bunch that was held up.
+    stamps = [0, 1, 2, 3, 4, 2.5, 5, 3.5, 6, 4.5, 7, 8, 12, 9, 10, 11, 13]
+    answers = feed(SlidingWindow(8, 4), stamps)
+    assert [answer.outcome for answer in answers].count(Outcome.REFUSED) == 6
+    assert {answer.outcome for answer in answers} == {Outcome.ACCEPTED, Outcome.REFUSED}
+
+
 def test_frames_that_come_in_bunches_at_the_start_are_all_kept():
     answers = feed(SlidingWindow(4, 2), [0.0, 0.5, 0.5001, 0.5002])
     assert {answer.outcome for answer in answers} == {Outcome.ACCEPTED}

@@ -46,6 +46,7 @@ IDLE_S = 0.2
 WAITING_LOG_PERIOD_S = 5.0
 LATE_S = 0.5
 DIAGNOSTICS_PERIOD_S = 1.0
+LEAST_CLOCK_HZ = 0.001
 
 PARAMETERS = [
     NodeParameter(
@@ -174,7 +175,10 @@ class FramePublisherNode(ParameterizedNode):
         super().destroy_node()
 
     def check_values(self, values: Mapping[str, Any], told: Set[str]) -> None:
-        """Raise ParameterError where nothing would be played."""
+        """Raise ParameterError where nothing would be played, or the clock would stand still."""
+        if 0 < values['clock_hz'] < LEAST_CLOCK_HZ:
+            raise ParameterError(f'clock_hz must be 0 or at least {LEAST_CLOCK_HZ:g}, got '
+                                 f'{values["clock_hz"]:g}')
         if self._is_open:
             first, stop = self._limits(values)
             if first >= stop:

@@ -26,6 +26,9 @@ from track_before_detect.tracking.presets import (
     NONE,
 )
 
+# Stamps and parameters may ask for more seconds than a lock can wait.
+LONGEST_WAIT_S = 86400.0
+
 
 @dataclass(frozen=True)
 class StreamFrame:
@@ -288,7 +291,7 @@ class FrameQueue:
     def take(self, timeout_s: float | None) -> Work | None:
         """Wait for work, at most some seconds; return it, or None once the queue is closed."""
         with self._changed:
-            self._changed.wait_for(self._has_work, timeout_s)
+            self._changed.wait_for(self._has_work, timeout_s and min(timeout_s, LONGEST_WAIT_S))
             if self.closed:
                 return None
             if self._prepared is not None:

@@ -128,6 +128,8 @@ class SlidingWindow:
         self._intervals: deque[float] = deque(maxlen=max(length, 20))
         self._n_new = 0
         self._waiting: tuple[NDArray, float, int] | None = None
+        # Increasing stamps in turn between the oldest and the newest held one, the last of them.
+        self._n_between, self._last_between_s = 0, 0.0
 
     def __len__(self) -> int:
         return len(self._frames)
@@ -157,7 +159,8 @@ class SlidingWindow:
         stamp_s : float
             Time in seconds. A stamp that repeats, or that lies between the oldest and the newest
             held one, is refused; two earlier ones in turn start the window again (a looped
-            recording), a single one is left out.
+            recording), a single one is left out. So do more frames in turn between than are held:
+            of these the newest has an odd stamp.
         frame_index : int
             Number of the frame in its stream, larger than that of the frame before.
         """
@@ -184,7 +187,7 @@ class SlidingWindow:
         if stamp_s < newest:
             goes_on = waiting is not None and (
                 waiting[1] < stamp_s or self._several and waiting[1] == stamp_s)
-            if stamp_s > oldest and not goes_on:
+            if stamp_s > oldest and not goes_on and self._held_outweigh(stamp_s):
                 return Intake(Outcome.REFUSED, reason=(
                     f'expected a stamp after {newest:.6f} s, found one '
                     f'{newest - stamp_s:.6f} s earlier'))
@@ -217,6 +220,12 @@ class SlidingWindow:
         self._indices.clear()
         self._intervals.clear()
         self._n_new = 0
+
+    def _held_outweigh(self, stamp_s: float) -> bool:
+        """Count a stamp between those held; return whether fewer came in turn than are held."""
+        self._n_between = self._n_between + 1 if stamp_s > self._last_between_s else 1
+        self._last_between_s = stamp_s
+        return self._n_between < len(self._frames)
 
     def _longest_gap(self) -> float | None:
         if self.max_gap_s is not None:
@@ -265,6 +274,7 @@ class SlidingWindow:
 
     def _accept(self, outcome: Outcome, pixels: NDArray, stamp_s: float,
                 frame_index: int) -> Intake:
+        self._n_between = 0
         if self._stamps:
             self._intervals.append(stamp_s - self._stamps[-1])
         self._frames.append(pixels)
