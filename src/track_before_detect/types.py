@@ -27,6 +27,25 @@ class Count(float):
         return self.words
 
 
+def within(progress: Progress, begun: float, ended: float) -> Progress:
+    """Return what tells of a search that is a part of a longer one.
+
+    Parameters
+    ----------
+    progress : callable
+        Told of the longer one.
+    begun, ended : float
+        Shares of it that are done before the part and after.
+    """
+
+    def tell(label: str, done: float) -> None:
+        if label == 'searching':
+            done = begun + done * (ended - begun)
+        progress(label, done)
+
+    return tell
+
+
 # Trajectories of a result that are printed, the best first.
 SHOWN_TRAJECTORIES = 10
 

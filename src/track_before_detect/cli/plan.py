@@ -138,7 +138,7 @@ def _workers(arguments: Namespace) -> int:
     if arguments.jobs is None and arguments.scheduler != 'local':
         raise ParameterError(f'tbd plan does not ask {arguments.scheduler} how many workers it '
                              'has: tell with --jobs')
-    return Workers(arguments.jobs, 'dask').jobs or usable_cores()
+    return Workers(arguments.jobs, 'dask').count()
 
 
 def spans_of(plan: Plan, workers: int) -> list[Plan]:

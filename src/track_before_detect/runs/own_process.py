@@ -34,9 +34,9 @@ def in_own_process(function: Callable[..., Any], *arguments: Any) -> Any:
     return outcome
 
 
-def peak_memory() -> int:
-    """Return the largest resident memory of this process so far in bytes."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+def peak_memory(used: resource.struct_rusage | None = None) -> int:
+    """Return the largest resident memory of this process so far, or of what is told, in bytes."""
+    peak = (used or resource.getrusage(resource.RUSAGE_SELF)).ru_maxrss
     return peak if sys.platform == 'darwin' else 1024 * peak
 
 

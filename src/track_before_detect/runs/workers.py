@@ -61,7 +61,7 @@ class Workers:
                 # What died with a worker is tried again here, see _on_dask.
                 stack.enter_context(dask.config.set({'distributed.scheduler.allowed-failures': 0}))
                 cluster = stack.enter_context(LocalCluster(
-                    n_workers=self.jobs or usable_cores(), threads_per_worker=1,
+                    n_workers=self.count(), threads_per_worker=1,
                     dashboard_address='127.0.0.1:0', silence_logs=logging.CRITICAL))
             yield replace(self, scheduler=cluster.scheduler_address)
 
@@ -108,7 +108,7 @@ class Workers:
         if joblib is None:
             yield from map(call, arguments)
             return
-        jobs = self.jobs or usable_cores()
+        jobs = self.count()
         # Threads of runs that go on side by side would only wait for each other.
         cores = 1 if self.backend in CLUSTERS else max(1, usable_cores() // jobs)
         with _backend(joblib, self.backend, self.scheduler, jobs) as n_jobs:

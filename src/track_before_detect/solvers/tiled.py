@@ -22,7 +22,7 @@ from track_before_detect.solvers.batch_detector import (
 from track_before_detect.solvers.calibration.noise_study import NoiseStudy
 from track_before_detect.solvers.tiles import tiles_of
 from track_before_detect.solvers.watch import Watch
-from track_before_detect.types import FrameBatch, Progress, worst_status
+from track_before_detect.types import FrameBatch, Progress, within, worst_status
 
 # Two tiles find a target at the same place but for the last digits. Near the line between their
 # cores both are asked for it, and paths this near each other on average are one (px).
@@ -102,7 +102,7 @@ class TiledDetector(BatchDetector):
             result = self._inner.detect(
                 replace(batch, frames=tile.of(batch.frames), part_of=shape),
                 weights if weights is None else tile.of(weights), here,
-                progress and _share_of(progress, number, len(tiles)))
+                progress and within(progress, number / len(tiles), (number + 1) / len(tiles)))
             results.append(result)
             in_frame = [replace(one, positions=one.positions + tile.begin) for one in result.found]
             found.append([one for one in in_frame
@@ -148,12 +148,3 @@ def _is_among(positions: NDArray, others: NDArray) -> bool:
     known = np.isfinite(distances)
     total = np.where(known, distances, 0.0).sum(axis=1)
     return bool(np.any(known.any(axis=1) & (total < SAME_PX * known.sum(axis=1))))
-
-
-def _share_of(progress: Progress, number: int, total: int) -> Progress:
-    """Return what tells of the search of one of several tiles as part of that of all."""
-
-    def tell(label: str, done: float) -> None:
-        progress(label, (number + done) / total if label == 'searching' else done)
-
-    return tell

@@ -26,7 +26,7 @@ from track_before_detect.tracking.pipeline import (
 )
 from track_before_detect.tracking.repeated_frames import RepeatedFrames
 from track_before_detect.tracking.stitcher import not_carried
-from track_before_detect.types import DetectionResult, FrameBatch, Progress, worst_status
+from track_before_detect.types import DetectionResult, FrameBatch, Progress, within, worst_status
 
 _LOG = logging.getLogger(__name__)
 _Item = TypeVar('_Item')
@@ -279,7 +279,7 @@ def _searched(cut: Iterable[FrameBatch], pipeline: BatchPipeline, n_frames: int,
                 pipeline.begin_afresh()
             n_until = int(frame_indices[-1]) + 1
             result = search(
-                progress and _within(progress, n_done / n_frames, n_until / n_frames))
+                progress and within(progress, n_done / n_frames, n_until / n_frames))
             n_done = n_until
             yield frame_indices, result
             if progress is not None:
@@ -323,14 +323,3 @@ def _carry_back(pipeline: TrackingPipeline, searched: list[DetectionResult]) -> 
         result.trajectories.extend(pipeline.carried_on(
             [known for known in later if known.id not in seen], result.rejected))
         later = result.trajectories
-
-
-def _within(progress: Progress, begun: float, ended: float) -> Progress:
-    """Return what tells how much of a recording is searched while one of its batches is."""
-
-    def tell(label: str, done: float) -> None:
-        if label == 'searching':
-            done = begun + done * (ended - begun)
-        progress(label, done)
-
-    return tell

@@ -38,7 +38,7 @@ from track_before_detect.tracking.spans.span_search import (
     parts_of_tiles,
     search_span,
 )
-from track_before_detect.types import Progress
+from track_before_detect.types import Progress, within
 
 # Frames in which repeats are looked for at a time.
 _READ = 200
@@ -113,8 +113,8 @@ class _Spans:
                 items += [{**shared, **_of_span(span), 'part': [part, n_parts],
                            'before': as_json(before[-1] if before else None),
                            'is_first': not (which or number or part)} for part in range(n_parts)]
-            results = self._each(span_of, items, 'searching', _of_several(
-                told, number, n_batches))
+            results = self._each(span_of, items, 'searching', within(
+                told, number / n_batches, (number + 1) / n_batches))
             parts = iter([from_json(result['found'][0]) for result in results])
             for which in these:
                 found[which].append(of_all_tiles(list(islice(parts, n_parts))))
@@ -158,11 +158,6 @@ def changes_of(item: Item) -> dict[str, Any]:
 
 def _untold(label: str, share: float) -> None:
     """Tell nobody of progress."""
-
-
-def _of_several(progress: Progress, number: int, total: int) -> Progress:
-    """Return what tells of one of several rounds as part of all of them."""
-    return lambda label, share: progress(label, (number + share) / total)
 
 
 def _of_span(span: Span) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from track_before_detect.evaluation.benchmarks.bench import Bench
 from track_before_detect.evaluation.benchmarks.workers.recordings import write_recordings
 from track_before_detect.evaluation.engine.tables import aligned
 from track_before_detect.evaluation.engine.timing import summary
+from track_before_detect.runs.own_process import peak_memory
 from track_before_detect.solvers.search.memory import BYTES_PER_GB
 
 _PROGRAM = ('import sys; from track_before_detect.cli import main; '
@@ -112,7 +113,7 @@ def search(paths: Sequence[Path], output: Path, run: Run,
     # Something was found, or nothing.
     if process.returncode not in (0, 3):
         raise DataError(f'the search by {run.name} ended with {process.returncode}: {said}')
-    return time.perf_counter() - began, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024
+    return time.perf_counter() - began, used.ru_utime + used.ru_stime, peak_memory(used)
 
 
 def results_in(output: Path) -> dict[str, bytes]:
