@@ -142,6 +142,8 @@ def test_pictures_and_arrays_are_found_by_a_steady_clock_while_that_of_ros_stand
 
     broken = CompressedImage(format='png')
     broken.data = b'nonsense'
+    # What is sent before the node has discovered us is lost.
+    station.wait_for_diagnostics(publishers=1)
     publisher.publish(broken)
     station.wait_for_diagnostics(frames_refused=1)
     detector.wait_for_line('message refused: its png cannot be read: it is no PNG')
